@@ -13,7 +13,7 @@ use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::{Direction, Parser};
 use solaspect::navigation::NavigationSettings;
 use solaspect::navigation::files::{self, read_gps, read_imu, read_sun, read_vectors};
-use solaspect::navigation::nmea::{Heard, Nmea};
+use solaspect::navigation::nmea::{Nmea, Received};
 use solaspect::observe::Journal;
 use solaspect::pointing::Target;
 use solaspect::refine::FrameRecord;
@@ -262,7 +262,7 @@ pub fn nmea(bytes: &[u8]) {
     let heard = whole.feed(bytes, now);
     let mut piecewise = Nmea::default();
     let pieces = bytes.chunks(7);
-    let again: Vec<Heard> = pieces
+    let again: Vec<Received> = pieces
         .flat_map(|piece| piecewise.feed(piece, now))
         .collect();
     assert_eq!(heard, again, "bytes in pieces");
@@ -270,12 +270,12 @@ pub fn nmea(bytes: &[u8]) {
     assert!(whole.noise_bytes() <= bytes.len() as u64);
     for one in heard {
         match one {
-            Heard::Fix(fix) => {
+            Received::Fix(fix) => {
                 assert!(fix.utc.duration_since(now).as_hours().abs() <= 12);
                 assert!(fix.fix(0.0).check().is_ok());
             }
-            Heard::Refused(why) => assert!(!why.to_string().is_empty()),
-            Heard::Unreadable(why) => assert!(!why.to_string().is_empty()),
+            Received::Refused(why) => assert!(!why.to_string().is_empty()),
+            Received::Unreadable(why) => assert!(!why.to_string().is_empty()),
         }
     }
 }

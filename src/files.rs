@@ -15,7 +15,7 @@ use std::time::Duration;
 /// The largest text that is read, bytes: instruments, configurations, tables.
 pub const LARGEST_TEXT: u64 = 16 << 20;
 /// A file that has not been read within this time is on a disk that hangs.
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Why a file was not read.
 #[derive(Debug, thiserror::Error)]
@@ -141,7 +141,7 @@ pub fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
 /// All of [`Unread`] except [`Unread::Text`].
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
     let path = path.to_owned();
-    within(PATIENCE, move || read_patiently(&path, most))
+    within(TIMEOUT, move || read_patiently(&path, most))
         .unwrap_or_else(|none| Err(Unread::Silent(none)))
 }
 

@@ -17,8 +17,8 @@ use solaspect::link::{
     MoonFix, MoonOutcome, MoonRequest, NoSolution, Propagated, Receipt, Telemetry,
 };
 use solaspect::record::{
-    LoggedRow, MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
-    Upkeep,
+    ArchiveState, LoggedRow, MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record,
+    RollRecord,
 };
 use std::fmt::Write;
 use std::fs;
@@ -244,7 +244,7 @@ fn rows() -> [LoggedRow; 3] {
                 disc_dn: 205.5,
             }),
             on_own_disk: Some(true),
-            upkeep: Upkeep {
+            archive_state: ArchiveState {
                 free_percent: [Some(87.5), None],
                 waiting: 3,
                 unstored: 70_000,

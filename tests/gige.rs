@@ -1,7 +1,7 @@
 //! The GigE Vision camera, against a fake one on loopback that carries the simulator's frames over the real protocol.
 //! UDP port 3956 belongs to one fake at a time: the tests take turns.
 
-use crate::common::camera::{PATIENCE, absent, frame, next};
+use crate::common::camera::{TIMEOUT, absent, frame, next};
 use crate::common::flight::frames_in;
 use solaspect::camera::{CameraSettings, Device, FrameSource, GenicamCamera, PixelFormat};
 use solaspect::fits;
@@ -150,7 +150,7 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
     drop(fake);
     let begun = Instant::now();
     let mut noticed = false;
-    while !noticed && begun.elapsed() < PATIENCE {
+    while !noticed && begun.elapsed() < TIMEOUT {
         let asked = Instant::now();
         noticed = camera.next(&mut |_| {}).is_err();
         assert!(asked.elapsed() < Duration::from_secs(5), "it blocks");

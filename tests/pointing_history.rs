@@ -288,15 +288,20 @@ fn photons_come_back_to_where_on_the_sun_they_came_from() {
 #[test]
 fn gyros_sun_and_horizon_agree_on_a_gondola_that_swings() {
     let (_, out) = flight();
-    let witnesses = &summary(out)["witnesses"];
-    let axes = witnesses["axes"].as_array().unwrap();
+    let cameras_against_gyros = &summary(out)["cameras_against_gyros"];
+    let axes = cameras_against_gyros["axes"].as_array().unwrap();
     assert_eq!(axes.len(), 3);
     for axis in axes {
         let [rms, most] = ["rms_over_sigma", "most_over_sigma"].map(|key| axis[key].as_f64());
         assert!(rms.unwrap() < 1.25 && most.unwrap() < 5.0, "{axis}");
         assert!(axis["frames"].as_u64().unwrap() > 100, "{axis}");
     }
-    assert!(witnesses["findings"].as_array().unwrap().is_empty());
+    assert!(
+        cameras_against_gyros["findings"]
+            .as_array()
+            .unwrap()
+            .is_empty()
+    );
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Gyros against Sun and horizon"));
 }
@@ -360,7 +365,7 @@ fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_
         warned.contains("the horizon contradicts the gyros in roll"),
         "{warned}"
     );
-    let findings = &summary(out.path())["witnesses"]["findings"];
+    let findings = &summary(out.path())["cameras_against_gyros"]["findings"];
     assert_eq!(findings[0]["axis"], "roll");
     let reasons = Columns::read(out.path(), "POINTING");
     let reasons = reasons.texts("INVALID");
@@ -398,12 +403,14 @@ fn gyros_that_slip_are_contradicted_by_the_sun_and_then_no_pointing_is_valid() {
     options[1] = slipping.to_str().unwrap();
     refine(&root.path().join("archive"), out.path(), &options);
     let summary = summary(out.path());
-    let findings = summary["witnesses"]["findings"].as_array().unwrap();
+    let findings = summary["cameras_against_gyros"]["findings"]
+        .as_array()
+        .unwrap();
     assert!(
         findings.iter().any(|one| one["axis"] == "right"),
         "{findings:?}"
     );
-    let most = summary["witnesses"]["axes"][0]["most_over_sigma"]
+    let most = summary["cameras_against_gyros"]["axes"][0]["most_over_sigma"]
         .as_f64()
         .unwrap();
     assert!(most > 20.0, "{most}");
@@ -607,7 +614,7 @@ fn an_hour_of_photons_comes_back_with_honest_sigmas() {
     let photons = |name: &str, archive: &str, options: &[&str], gondola: Gondola| {
         let out = root.join(name);
         refine(&root.join(archive), &out, options);
-        println!("{name}: {}", summary(&out)["witnesses"]);
+        println!("{name}: {}", summary(&out)["cameras_against_gyros"]);
         let history = PointingHistory::read(&out).unwrap();
         put_back(&Plan { gondola, ..plan }, &history, many)
     };

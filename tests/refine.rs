@@ -851,7 +851,7 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
     reports("pointing");
     let path = SolarPath::of(&pointing, history.sky());
     let facts = PointingFacts {
-        witnesses: None,
+        cameras_against_gyros: None,
         on_target: path.on_target(),
     };
     let summary = refining::write(out.path(), &history, written, facts, &pointing, 10.0).unwrap();

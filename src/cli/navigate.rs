@@ -3,7 +3,7 @@
 use super::attitude::{self, AttitudeArgs};
 use super::options;
 use super::output::make_folder;
-use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
+use crate::navigation::files::{CameraVector, read_gps, read_imu, read_sun, read_vectors};
 use crate::navigation::{
     DirectionObservation, Fix, Flight, Measurement, NavigationSettings, Sky, Targets,
 };
@@ -98,7 +98,7 @@ impl NavigateArgs {
         &self,
         settings: &NavigationSettings,
         fixes: &[Fix],
-        seen: &[Seen],
+        seen: &[CameraVector],
     ) -> anyhow::Result<Vec<Measurement>> {
         let sky = match (settings.epoch_utc, &self.sun) {
             (Some(epoch), _) => Sky::Ephemeris {

@@ -250,7 +250,7 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
     if let Some(on_target) = &summary.pointing.on_target {
         say(on_target)?;
     }
-    if let Some(compared) = &summary.pointing.witnesses {
+    if let Some(compared) = &summary.pointing.cameras_against_gyros {
         say(compared)?;
         compared.findings.iter().try_for_each(say)?;
     }

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// Time within which an armed command may be sent.
 pub const ARMED: SignedDuration = SignedDuration::from_secs(30);
 /// Time after which a command counts as unanswered.
-const PATIENCE: SignedDuration = SignedDuration::from_secs(5);
+const TIMEOUT: SignedDuration = SignedDuration::from_secs(5);
 /// Number of rows of the log on the page.
 const MOST_ROWS: usize = 1000;
 
@@ -276,7 +276,7 @@ impl Orders {
 
     /// Closes the unanswered rows; whether a row has changed.
     pub fn give_up(&mut self, now: Timestamp) -> bool {
-        let is_due = |row: &&mut OrderRow| row.is_open() && now.duration_since(row.utc) > PATIENCE;
+        let is_due = |row: &&mut OrderRow| row.is_open() && now.duration_since(row.utc) > TIMEOUT;
         let mut due = Vec::new();
         for row in self.rows.iter_mut().filter(is_due) {
             let what = if row.received.is_some() {
@@ -285,7 +285,7 @@ impl Orders {
                 "receipt"
             };
             row.good = Some(false);
-            row.words = Some(format!("no {what} within {} s", PATIENCE.as_secs()));
+            row.words = Some(format!("no {what} within {} s", TIMEOUT.as_secs()));
             due.push(row.clone());
         }
         for row in &due {

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 /// Number of bytes per read.
 const PIECE: usize = 1 << 16;
 /// A line whose end is missing for this time is truncated.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Why a file is not a recording.
 #[derive(Debug, thiserror::Error)]
@@ -69,7 +69,7 @@ impl Record {
             self.take_bursts(shared);
             match self.read_piece(&mut piece) {
                 Ok(0) => {
-                    if grew.elapsed() > PATIENCE {
+                    if grew.elapsed() > TIMEOUT {
                         self.bursts.extend(self.reader.finish());
                     }
                     self.warn();

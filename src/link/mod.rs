@@ -52,6 +52,6 @@ pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket,
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
-pub use responder::{Execution, Exposure, Heard, LinkState, Reply, Responder};
+pub use responder::{Execution, Exposure, LinkState, ReceivedCommand, Reply, Responder};
 pub use telemetry::{CameraCounts, CommandOutcome, FrameMarks, Receipt, Telemetry};
 pub use udp::{LocalEnd, UdpPort};

@@ -47,7 +47,7 @@ pub struct LinkState {
 pub struct Reply {
     pub packets: Vec<Vec<u8>>,
     /// The commands to this computer that the packet held.
-    pub commands: Vec<Heard>,
+    pub commands: Vec<ReceivedCommand>,
     /// Requests for the Moon that wait for a picture, each with its packet's sequence number.
     pub moon_requests: Vec<(u16, MoonRequest)>,
     pub changed: bool,
@@ -55,7 +55,7 @@ pub struct Reply {
 
 /// A command to this computer, and its result.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Heard {
+pub struct ReceivedCommand {
     /// The key, including the computers' bits.
     pub key: u16,
     /// `None` if it could not be read.
@@ -173,7 +173,7 @@ impl Responder {
             {
                 moon_requests.push((sequence, *request));
             }
-            commands.push(Heard {
+            commands.push(ReceivedCommand {
                 key,
                 message: message.ok(),
                 execution,

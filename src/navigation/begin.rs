@@ -27,7 +27,7 @@ const PLUMB_SHARE: f64 = 0.05;
 /// The last direction of each target in each camera, in the body's axes, propagated with the body's rotation.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Waiting {
-    seen: Vec<Seen>,
+    directions: Vec<PastDirection>,
     felt: Felt,
     /// The body's last angular rate.
     rate_rad_s: Vector3<f64>,
@@ -60,14 +60,14 @@ impl Felt {
 }
 
 #[derive(Debug, Clone)]
-struct Seen {
+struct PastDirection {
     observation: DirectionObservation,
     /// Direction in the body's axes at the current time.
     body: UnitVector3<f64>,
     age_s: f64,
 }
 
-impl Seen {
+impl PastDirection {
     /// Error accumulated since the observation, from the gyro and from the motion of the target.
     fn added_rad(&self, settings: &NavigationSettings, fix: &Fix) -> f64 {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
@@ -91,22 +91,23 @@ impl Waiting {
         };
         self.rate_rad_s = said.rate_rad_s;
         let turn = UnitQuaternion::new(-said.rate_rad_s * said.length_s());
-        for seen in &mut self.seen {
-            seen.body = turn * seen.body;
-            seen.age_s += said.length_s();
+        for direction in &mut self.directions {
+            direction.body = turn * direction.body;
+            direction.age_s += said.length_s();
         }
         self.felt.advance(&turn, said);
-        self.seen.retain(|seen| seen.age_s <= FRESH_S);
+        self.directions
+            .retain(|direction| direction.age_s <= FRESH_S);
     }
 
     pub fn note(&mut self, settings: &NavigationSettings, observation: &DirectionObservation) {
-        let same = |seen: &Seen| {
-            (seen.observation.camera, seen.observation.target)
+        let same = |direction: &PastDirection| {
+            (direction.observation.camera, direction.observation.target)
                 == (observation.camera, observation.target)
         };
-        self.seen.retain(|seen| !same(seen));
+        self.directions.retain(|direction| !same(direction));
         let camera = &settings.cameras[observation.camera];
-        self.seen.push(Seen {
+        self.directions.push(PastDirection {
             observation: *observation,
             body: camera.body_from_camera * observation.unit,
             age_s: 0.0,
@@ -117,24 +118,27 @@ impl Waiting {
     /// are available.
     pub fn begin(&self, model: &Arc<Model>, fix: &Fix) -> Option<Filter> {
         let Model { settings, layout } = &**model;
-        let observation = |seen: &Seen| {
-            let camera = &settings.cameras[seen.observation.camera];
-            let own = seen.observation.sigma_rad.hypot(camera.misalignment_rad);
-            let sigma_rad = own.hypot(seen.added_rad(settings, fix));
+        let observation = |direction: &PastDirection| {
+            let camera = &settings.cameras[direction.observation.camera];
+            let own = direction
+                .observation
+                .sigma_rad
+                .hypot(camera.misalignment_rad);
+            let sigma_rad = own.hypot(direction.added_rad(settings, fix));
             let towards = towards(
-                &seen.observation.towards,
+                &direction.observation.towards,
                 &fix.position_m,
                 settings.vertical,
             );
             Observation {
-                body: Direction::new(seen.body, sigma_rad.max(f64::EPSILON)),
+                body: Direction::new(direction.body, sigma_rad.max(f64::EPSILON)),
                 reference: Direction::new(towards, 0.0),
             }
         };
         let begun_by = self.pair(settings, fix)?;
         let (first, second) = match &begun_by {
-            Pair::Seen(first, second) => (observation(first), observation(second)),
-            Pair::WithPlumb(seen, plumb) => (observation(seen), *plumb),
+            Pair::Measured(first, second) => (observation(first), observation(second)),
+            Pair::WithPlumb(direction, plumb) => (observation(direction), *plumb),
         };
         let found = attitude(&[first, second])?.inverse();
         let motion = Motion {
@@ -145,17 +149,17 @@ impl Waiting {
         let estimate = Estimate::new(motion, model);
         let mut filter = Filter::new(Arc::clone(model), estimate, fix);
         filter.rate_rad_s = self.rate_rad_s;
-        for seen in begun_by.seen() {
-            let camera = &settings.cameras[seen.observation.camera];
+        for direction in begun_by.directions() {
+            let camera = &settings.cameras[direction.observation.camera];
             let now = DirectionObservation {
                 t_s: fix.t_s,
-                unit: camera.body_from_camera.inverse() * seen.body,
-                ..seen.observation
+                unit: camera.body_from_camera.inverse() * direction.body,
+                ..direction.observation
             };
-            let white = white_rad(settings, layout, &seen.observation);
+            let white = white_rad(settings, layout, &direction.observation);
             filter.take_direction(
                 &now,
-                white.hypot(seen.added_rad(settings, fix)),
+                white.hypot(direction.added_rad(settings, fix)),
                 Trust::Blind,
             )?;
         }
@@ -168,8 +172,8 @@ impl Waiting {
     /// The two directions that determine the attitude best: two observed ones, or else one and straight down from the
     /// accelerometers.
     fn pair(&self, settings: &NavigationSettings, fix: &Fix) -> Option<Pair<'_>> {
-        if let Some((first, second)) = self.seen_pair() {
-            return Some(Pair::Seen(first, second));
+        if let Some((first, second)) = self.measured_pair() {
+            return Some(Pair::Measured(first, second));
         }
         let gravity = earth::acceleration(&fix.position_m, &Vector3::zeros());
         let down = self.felt.down(gravity.norm());
@@ -178,18 +182,21 @@ impl Waiting {
             body: Direction::new(down, settings.plumb_rad),
             reference: Direction::new(earth::plumb(&fix.position_m), 0.0),
         };
-        let sine = |seen: &&Seen| seen.body.cross(&down).norm();
-        let seen = self.seen.iter().filter(|seen| sine(seen) > LEAST_SINE);
-        let best = seen.max_by(|a, b| sine(a).total_cmp(&sine(b)))?;
+        let sine = |direction: &&PastDirection| direction.body.cross(&down).norm();
+        let directions = self
+            .directions
+            .iter()
+            .filter(|direction| sine(direction) > LEAST_SINE);
+        let best = directions.max_by(|a, b| sine(a).total_cmp(&sine(b)))?;
         Some(Pair::WithPlumb(best, plumb))
     }
 
-    fn seen_pair(&self) -> Option<(&Seen, &Seen)> {
-        let pairs = self.seen.iter().enumerate().flat_map(|(n, first)| {
-            let rest = self.seen[n + 1..].iter();
+    fn measured_pair(&self) -> Option<(&PastDirection, &PastDirection)> {
+        let pairs = self.directions.iter().enumerate().flat_map(|(n, first)| {
+            let rest = self.directions[n + 1..].iter();
             rest.map(move |second| (first, second))
         });
-        let sine = |(a, b): &(&Seen, &Seen)| a.body.cross(&b.body).norm();
+        let sine = |(a, b): &(&PastDirection, &PastDirection)| a.body.cross(&b.body).norm();
         pairs
             .filter(|(a, b)| a.observation.target != b.observation.target)
             .filter(|pair| sine(pair) > LEAST_SINE)
@@ -199,15 +206,15 @@ impl Waiting {
 
 /// The pair of directions of an alignment.
 enum Pair<'a> {
-    Seen(&'a Seen, &'a Seen),
-    WithPlumb(&'a Seen, Observation),
+    Measured(&'a PastDirection, &'a PastDirection),
+    WithPlumb(&'a PastDirection, Observation),
 }
 
 impl<'a> Pair<'a> {
-    fn seen(&self) -> impl Iterator<Item = &'a Seen> + use<'a> {
+    fn directions(&self) -> impl Iterator<Item = &'a PastDirection> + use<'a> {
         let (first, second) = match *self {
-            Self::Seen(first, second) => (first, Some(second)),
-            Self::WithPlumb(seen, _) => (seen, None),
+            Self::Measured(first, second) => (first, Some(second)),
+            Self::WithPlumb(direction, _) => (direction, None),
         };
         std::iter::once(first).chain(second)
     }

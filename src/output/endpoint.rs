@@ -13,7 +13,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(50);
 /// Programs that may be connected at the same time.
 const MOST_CLIENTS: usize = 8;
 /// Time after which a client that has taken no byte, though messages were offered, is disconnected.
-const CLIENT_PATIENCE: Duration = Duration::from_secs(30);
+const CLIENT_TIMEOUT: Duration = Duration::from_secs(30);
 /// The longest payload of a datagram over IPv4.
 const LONGEST_DATAGRAM: usize = 65_507;
 
@@ -271,7 +271,7 @@ impl Clients {
                     tracing::info!(%peer, %error, "a client of an output has gone");
                     false
                 }
-                Ok(_) if now.saturating_sub(client.took_at) > CLIENT_PATIENCE => {
+                Ok(_) if now.saturating_sub(client.took_at) > CLIENT_TIMEOUT => {
                     tracing::warn!(%peer, "a client of an output takes nothing: it is disconnected");
                     false
                 }
@@ -412,9 +412,9 @@ mod tests {
     fn a_client_that_takes_nothing_for_half_a_minute_is_disconnected() {
         let (mut endpoint, [_stuck]) = with_clients();
         while endpoint.send(&line(0), NOW).dropped == 0 {}
-        endpoint.send(&line(0), CLIENT_PATIENCE);
+        endpoint.send(&line(0), CLIENT_TIMEOUT);
         assert_eq!(clients_of(&endpoint), 1);
-        endpoint.poll(CLIENT_PATIENCE + Duration::from_millis(1));
+        endpoint.poll(CLIENT_TIMEOUT + Duration::from_millis(1));
         assert_eq!(clients_of(&endpoint), 0);
     }
 

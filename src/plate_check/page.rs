@@ -3,7 +3,7 @@
 use super::{CheckSummary, CheckedPlace, PlateCheck, Rotations};
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::report::html::Page;
-use crate::report::plot::{self, Cell, Ground, Labels, PlotError};
+use crate::report::plot::{self, Cell, Labels, MapField, PlotError};
 use serde::Serialize;
 use std::fmt;
 
@@ -145,5 +145,5 @@ fn map(
     // Cell size equal to the spacing of the places.
     let side = check.field_radius_mil * (std::f64::consts::PI / check.places.len() as f64).sqrt();
     let labels = Labels::new(title, "plate X, mil", "plate Y, mil");
-    plot::scalar_map(&labels, &Ground::about_zero(reach), &cells, side, unit).map(Some)
+    plot::scalar_map(&labels, &MapField::about_zero(reach), &cells, side, unit).map(Some)
 }

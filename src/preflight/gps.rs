@@ -4,7 +4,7 @@ use super::Finding;
 use super::bounded::within;
 use crate::clock::FlightClock;
 use crate::link::{LocalEnd, PortAddress, PortError};
-use crate::navigation::nmea::{GpsCounts, Heard, Nmea, Refusal, Refused, TimedFix};
+use crate::navigation::nmea::{GpsCounts, Nmea, Received, Refusal, Refused, TimedFix};
 use crate::plan::Plan;
 use crate::sky::sphere::{direction, separation_rad};
 use crate::units::Place;
@@ -62,12 +62,12 @@ fn read_gps(address: &PortAddress, baud: u32, clock: FlightClock) -> Result<Rece
 }
 
 impl Receiver {
-    fn note(&mut self, sentence: Heard) {
+    fn note(&mut self, sentence: Received) {
         self.counts.note(&sentence);
         match sentence {
-            Heard::Fix(fix) => self.fix = self.fix.or(Some(fix)),
-            Heard::Refused(refused) => self.refused = Some(refused),
-            Heard::Unreadable(why) => self.unreadable = Some(why.to_string()),
+            Received::Fix(fix) => self.fix = self.fix.or(Some(fix)),
+            Received::Refused(refused) => self.refused = Some(refused),
+            Received::Unreadable(why) => self.unreadable = Some(why.to_string()),
         }
     }
 

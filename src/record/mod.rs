@@ -303,12 +303,12 @@ pub struct LoggedRow {
     pub record: Record,
     /// Whether the picture is on the disk of the log itself; `None` if it is on none.
     pub on_own_disk: Option<bool>,
-    pub upkeep: Upkeep,
+    pub archive_state: ArchiveState,
 }
 
 /// State of the archive when a frame came.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Upkeep {
+pub struct ArchiveState {
     /// Free space of each disk; `None` if there is no disk, or it does not report it.
     pub free_percent: [Option<f64>; 2],
     /// Pictures that waited for a disk.
@@ -337,7 +337,7 @@ impl LoggedRow {
             levels: None,
             record,
             on_own_disk: None,
-            upkeep: Upkeep::default(),
+            archive_state: ArchiveState::default(),
         }
     }
 
@@ -475,10 +475,10 @@ numbers! {
     SOLVE_US: count(|r| r.record.solve_us).column("solve_us", All);
     SOLVE_TIME: number(|r| r.record.solve_us.map(|us| us as f64 * 1e-6)).keyword("SOLVETIM", "s", "wall time of the solver")
         .field("SOLVE_TIME", "s", "wall time of the solver");
-    DISK1_FREE: number(|r| r.upkeep.free_percent[0]).field("DISK1_FREE", "percent", "free space of the first disk");
-    DISK2_FREE: number(|r| r.upkeep.free_percent[1]).field("DISK2_FREE", "percent", "free space of the second disk");
-    WAITING: number(|r| Some(r.upkeep.waiting as f64)).field("WAITING", "", "pictures that wait for a disk");
-    UNSTORED: number(|r| Some(r.upkeep.unstored as f64)).field("UNSTORED", "", "pictures so far that no disk has");
+    DISK1_FREE: number(|r| r.archive_state.free_percent[0]).field("DISK1_FREE", "percent", "free space of the first disk");
+    DISK2_FREE: number(|r| r.archive_state.free_percent[1]).field("DISK2_FREE", "percent", "free space of the second disk");
+    WAITING: number(|r| Some(r.archive_state.waiting as f64)).field("WAITING", "", "pictures that wait for a disk");
+    UNSTORED: number(|r| Some(r.archive_state.unstored as f64)).field("UNSTORED", "", "pictures so far that no disk has");
 }
 
 /// The columns of a record, and the log's columns before and after them.

@@ -1,11 +1,11 @@
 //! The attitude between frames: the refined directions together with the flight's IMU and GPS.
 
 use super::attitude::{self, Attitude, AttitudeFound, NavigationFile, Wanted, add_attitude};
+use super::comparison::Difference;
 use super::pointing::{Slow, States, nearest};
 use super::roll::RollRow;
 use super::row::RefinedRow;
 use super::sky::Sky;
-use super::witnesses::Difference;
 use crate::archive::ArchiveReader;
 use crate::geometry::attitude::Direction;
 use crate::instrument::role::one_of_several;

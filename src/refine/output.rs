@@ -5,6 +5,7 @@ use super::clock_facts::ClockFacts;
 use super::columns::{
     ASPECT, ASPECT_COLUMNS, SMOOTHED, STABILISATION, STABILISATION_COLUMNS, smoothed_columns,
 };
+use super::comparison::Compared;
 use super::flags::FrameFlag;
 use super::history::History;
 use super::mapping::{Jump, MappingFacts};
@@ -13,7 +14,6 @@ use super::record::Grade;
 use super::row::RefinedRow;
 use super::solar_path::OnTarget;
 use super::stabilisation::StabilisationRow;
-use super::witnesses::Compared;
 use crate::archive::{CONFIGURATION, INSTRUMENT, instrument_cards, target_cards};
 use crate::clock::utc_microseconds;
 use crate::columns::{self, Column, Widths, whole};
@@ -87,7 +87,7 @@ pub struct Summary {
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct PointingFacts {
     /// Cameras compared with the attitude by gyros; none without an IMU.
-    pub witnesses: Option<Compared>,
+    pub cameras_against_gyros: Option<Compared>,
     /// Time that the telescope was near its target; none where that is not known.
     pub on_target: Option<OnTarget>,
 }

@@ -5,7 +5,7 @@ use super::report::Part;
 use super::solar_path::{SolarPath, SolarStep};
 use crate::clock::utc_microseconds;
 use crate::pointing::HelioprojectiveArcsec;
-use crate::report::plot::{self, Ellipse, Ground, Labels, PathPosition, PlotError, Series};
+use crate::report::plot::{self, Ellipse, Labels, MapField, PathPosition, PlotError, Series};
 use crate::report::{graticule, limb};
 use jiff::Timestamp;
 use nalgebra::SymmetricEigen;
@@ -66,16 +66,16 @@ impl Part<'_> {
         let full = full_disc(path);
         let close = close_up(path, &full);
         let caption = caption(path);
-        let map = |title: &str, ground: &Ground| {
+        let map = |title: &str, field: &MapField| {
             let labels = Labels::new(title, WEST, NORTH);
-            plot::path_map(&labels, ground, &positions(path), ellipse(path).as_ref())
+            plot::path_map(&labels, field, &positions(path), ellipse(path).as_ref())
         };
         self.figure_with(map("The boresight on the Sun", &full), &caption);
         if let Some(close) = &close {
             self.figure_with(map("The same, closer", close), &caption);
         }
-        let ground = close.as_ref().unwrap_or(&full);
-        let (figure, caption) = dwell(path, ground);
+        let field = close.as_ref().unwrap_or(&full);
+        let (figure, caption) = dwell(path, field);
         self.figure_with(figure, &caption);
     }
 
@@ -111,7 +111,7 @@ fn positions(path: &SolarPath) -> Vec<PathPosition> {
 }
 
 /// The whole disc, and any valid path beyond it.
-fn full_disc(path: &SolarPath) -> Ground {
+fn full_disc(path: &SolarPath) -> MapField {
     let far = |step: &SolarStep| step.at.x.abs().max(step.at.y.abs());
     let farthest = path.valid().map(far).fold(0.0, f64::max);
     let disc = path.disc.as_ref().map(|(_, disc)| disc);
@@ -124,16 +124,16 @@ fn full_disc(path: &SolarPath) -> Ground {
             .map(|line| line.iter().map(point).collect())
             .collect()
     };
-    Ground {
+    MapField {
         outline: disc.map_or_else(Vec::new, |disc| limb(disc).iter().map(point).collect()),
         grid: disc.map_or_else(Vec::new, lines),
         target: path.target.iter().map(point).collect(),
-        ..Ground::about_zero(reach)
+        ..MapField::about_zero(reach)
     }
 }
 
 /// The path alone, with the target where that is near; none where the path extends over much of the Sun.
-fn close_up(path: &SolarPath, full: &Ground) -> Option<Ground> {
+fn close_up(path: &SolarPath, full: &MapField) -> Option<MapField> {
     let full_side = full.x.end - full.x.start;
     let [x, y] = [middle_part(path, |at| at.x)?, middle_part(path, |at| at.y)?];
     let with = |span: &Range<f64>, value: fn(&(f64, f64)) -> f64| {
@@ -149,7 +149,7 @@ fn close_up(path: &SolarPath, full: &Ground) -> Option<Ground> {
             let middle = f64::midpoint(span.start, span.end);
             middle - half..middle + half
         };
-        Ground {
+        MapField {
             x: about(&x),
             y: about(&y),
             ..full.clone()
@@ -157,7 +157,7 @@ fn close_up(path: &SolarPath, full: &Ground) -> Option<Ground> {
     };
     let with_target = [with(&x, |at| at.0), with(&y, |at| at.1)];
     let mut squares = [with_target, [x, y]].into_iter().map(square);
-    squares.find(|ground| ground.x.end - ground.x.start < CLOSE_PART * full_side)
+    squares.find(|field| field.x.end - field.x.start < CLOSE_PART * full_side)
 }
 
 /// Span of the valid path along an axis, without the outermost fraction `TRIMMED` at each end.
@@ -201,15 +201,15 @@ fn caption(path: &SolarPath) -> String {
 }
 
 /// Map of the boresight's dwell time, and its caption.
-fn dwell(path: &SolarPath, ground: &Ground) -> (Result<String, PlotError>, String) {
-    let cell = plot::cell_of(ground);
+fn dwell(path: &SolarPath, field: &MapField) -> (Result<String, PlotError>, String) {
+    let cell = plot::cell_of(field);
     let each_s = 1.0 / path.rate_hz;
     let places = || path.valid().map(|step| point(&step.at));
     let cells = plot::binned(places(), cell, each_s);
-    let outside = places().filter(|(x, y)| !ground.x.contains(x) || !ground.y.contains(y));
+    let outside = places().filter(|(x, y)| !field.x.contains(x) || !field.y.contains(y));
     let outside_s = outside.count() as f64 * each_s;
     let labels = Labels::new(format!("Dwell in squares of {cell} arcsec"), WEST, NORTH);
-    let figure = plot::scalar_map(&labels, ground, &cells, cell, "s");
+    let figure = plot::scalar_map(&labels, field, &cells, cell, "s");
     let caption = format!(
         "The valid time that the boresight spent in each square of {cell} by {cell} arcsec, s. Outside of the map: {outside_s:.1} s."
     );
@@ -250,8 +250,8 @@ mod tests {
         }
     }
 
-    fn side(ground: &Ground) -> f64 {
-        ground.x.end - ground.x.start
+    fn side(field: &MapField) -> f64 {
+        field.x.end - field.x.start
     }
 
     #[test]

@@ -175,7 +175,7 @@ impl Report {
         part.radius(summary);
         part.mapping(summary);
         part.refusals(archive, &rows.reasons);
-        part.witnesses(summary);
+        part.cameras_against_gyros(summary);
         part.jitter();
     }
 
@@ -393,8 +393,8 @@ impl Part<'_> {
         }
     }
 
-    fn witnesses(&mut self, summary: &Summary) {
-        if let Some(compared) = &summary.pointing.witnesses {
+    fn cameras_against_gyros(&mut self, summary: &Summary) {
+        if let Some(compared) = &summary.pointing.cameras_against_gyros {
             self.heading("Gyros against Sun and horizon");
             let (heads, rows) = compared.table();
             self.page.table(&heads, &rows);

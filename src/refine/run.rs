@@ -1,6 +1,7 @@
 //! Refines an archive to its history: `solaspect refine` as a function.
 
 use super::attitude::AttitudeFound;
+use super::comparison::{Compared, Difference, Dips};
 use super::files::{Files, Overrides};
 use super::films::make_film;
 use super::history::{History, HistoryError};
@@ -15,7 +16,6 @@ use super::roll_report::RollRows;
 use super::sky::Sky;
 use super::solar_path::SolarPath;
 use super::stabilisation::stabilisation;
-use super::witnesses::{Compared, Difference, Dips};
 use crate::archive::ArchiveReader;
 use crate::config::Config;
 use crate::film::{self, Film};
@@ -379,7 +379,7 @@ impl Run<'_> {
         let rate_hz = self.options.pointing_rate_hz.unwrap_or(POINTING_RATE_HZ);
         let solar_path = SolarPath::of(&pointing, history.sky());
         let facts = PointingFacts {
-            witnesses: compared,
+            cameras_against_gyros: compared,
             on_target: solar_path.on_target(),
         };
         let summary = write(&folder, &history, written, facts, &pointing, rate_hz)?;

@@ -415,7 +415,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::link::housekeeping::FIELDS;
-    use crate::navigation::nmea::{Heard, Refused};
+    use crate::navigation::nmea::{Received, Refused};
     use crate::navigation::{Agreement, Axis};
     use crate::pointing::Target;
     use crate::service::tally::NavigationTally;
@@ -463,7 +463,7 @@ mod tests {
     fn each_reason_of_a_refused_fix_has_a_field_of_its_own() {
         let mut tally = NavigationTally::default();
         for (n, refusal) in Refusal::ALL.into_iter().enumerate() {
-            let refused = Heard::Refused(Refused::new(refusal, "why"));
+            let refused = Received::Refused(Refused::new(refusal, "why"));
             (0..=n).for_each(|_| _ = tally.gps.note(&refused));
         }
         let housekeeping = housekeeping(tally);

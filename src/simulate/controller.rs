@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 /// How long one [`Controller::poll`] waits for bytes.
 pub const POLL: Duration = Duration::from_millis(20);
 /// Time after which a start or stop without an answer is sent again.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
 /// Number of announced exposures, and of own commands, that are remembered.
 const MEMORY: usize = 256;
@@ -252,7 +252,7 @@ impl Controller {
                 .for_each(&mut heard);
         }
         self.stop_tracking();
-        let end = start.elapsed() + PATIENCE;
+        let end = start.elapsed() + TIMEOUT;
         while !self.is_obeyed() && start.elapsed() < end {
             self.poll(port, start.elapsed())?
                 .iter()
@@ -276,7 +276,7 @@ impl Controller {
     fn ask(&mut self, port: &mut dyn BytePort, now: Duration) -> Result<(), PortError> {
         let waiting = self
             .asked_at
-            .is_some_and(|at| now.saturating_sub(at) < PATIENCE);
+            .is_some_and(|at| now.saturating_sub(at) < TIMEOUT);
         if self.is_obeyed() || waiting {
             return Ok(());
         }

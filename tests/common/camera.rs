@@ -5,13 +5,13 @@ use solaspect::frame::Frame;
 use std::time::{Duration, Instant};
 
 /// Timeout for the slowest machine; no result depends on it.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The next exposure; errors before it are appended to `errors`.
 pub fn next(camera: &mut dyn FrameSource, errors: &mut Vec<String>) -> Exposure {
     let begun = Instant::now();
     let mut announced = Vec::new();
-    while begun.elapsed() < PATIENCE {
+    while begun.elapsed() < TIMEOUT {
         match camera.next(&mut |time| announced.push(time)) {
             Ok(Take::Exposure(exposure)) => {
                 assert_eq!(announced.last(), Some(&exposure.announced));
@@ -37,6 +37,6 @@ pub fn absent(camera: &mut dyn FrameSource) -> String {
             Err(error) => return error.to_string(),
             Ok(take) => assert!(matches!(take, Take::NotYet), "{take:?}"),
         }
-        assert!(begun.elapsed() < PATIENCE);
+        assert!(begun.elapsed() < TIMEOUT);
     }
 }

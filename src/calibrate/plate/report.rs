@@ -12,7 +12,7 @@ use crate::observe::RejectedFrame;
 use crate::plate::Plate;
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::report::html::Page;
-use crate::report::plot::{self, Arrow, Cell, Density, Ground, Labels, PlotError, Series};
+use crate::report::plot::{self, Arrow, Cell, Density, Labels, MapField, PlotError, Series};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
@@ -268,7 +268,7 @@ fn mark_map(
     let cells: Vec<Cell> = calibration.fit.marks.iter().filter_map(cell).collect();
     plot::scalar_map(
         &plate_labels(title),
-        &Ground::about_zero(map_reach_mil(plate)),
+        &MapField::about_zero(map_reach_mil(plate)),
         &cells,
         cell_mil(plate),
         unit,

@@ -161,7 +161,7 @@ impl Timed for Fix {
     }
 }
 
-impl Timed for Seen {
+impl Timed for CameraVector {
     fn t_s(&self) -> f64 {
         self.t_s
     }
@@ -255,7 +255,7 @@ fn read_fixes(path: &Path, settings: &NavigationSettings) -> Result<FileRows<Fix
 
 /// A direction in its table.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Seen {
+pub struct CameraVector {
     pub line: u64,
     pub t_s: f64,
     pub camera: usize,
@@ -269,7 +269,10 @@ pub struct Seen {
 ///
 /// # Errors
 /// As [`read_imu`].
-pub fn read_vectors(path: &Path, settings: &NavigationSettings) -> Result<Vec<Seen>, TableError> {
+pub fn read_vectors(
+    path: &Path,
+    settings: &NavigationSettings,
+) -> Result<Vec<CameraVector>, TableError> {
     let table = read_table(path, VECTORS, |row| {
         let name = row.text(1);
         let camera = settings.camera(name).ok_or_else(|| {
@@ -286,7 +289,7 @@ pub fn read_vectors(path: &Path, settings: &NavigationSettings) -> Result<Vec<Se
                 quoted(name),
             )
         })?;
-        Ok(Seen {
+        Ok(CameraVector {
             line: row.row.line,
             t_s: row.time_s()? - settings.cameras[camera].delay_s,
             camera,
@@ -341,7 +344,7 @@ pub fn read_sun(path: &Path) -> Result<Vec<(f64, UnitVector3<f64>)>, TableError>
     Ok(rows.map(|row| row.value).collect())
 }
 
-impl Seen {
+impl CameraVector {
     /// The error for a target with unknown position.
     pub fn without(&self, why: impl ToString) -> BadRow {
         let expected = "a target whose direction is known";

@@ -43,7 +43,7 @@ impl TimedFix {
 
 /// Result of parsing a receiver's bytes.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Heard {
+pub enum Received {
     Fix(TimedFix),
     Refused(Refused),
     Unreadable(Unreadable),
@@ -63,11 +63,11 @@ pub struct GpsCounts {
 
 impl GpsCounts {
     /// Counts a result; returns the count of its kind.
-    pub fn note(&mut self, heard: &Heard) -> u64 {
+    pub fn note(&mut self, heard: &Received) -> u64 {
         let count = match heard {
-            Heard::Fix(_) => &mut self.fixes,
-            Heard::Refused(refused) => &mut self.refused[refused.refusal as usize],
-            Heard::Unreadable(_) => &mut self.unreadable,
+            Received::Fix(_) => &mut self.fixes,
+            Received::Refused(refused) => &mut self.refused[refused.refusal as usize],
+            Received::Unreadable(_) => &mut self.unreadable,
         };
         *count += 1;
         *count
@@ -108,12 +108,12 @@ pub struct Nmea {
 
 impl Nmea {
     /// Takes bytes in pieces of any size; returns the completed results. `now` is the flight's time.
-    pub fn feed(&mut self, bytes: &[u8], now: Timestamp) -> Vec<Heard> {
+    pub fn feed(&mut self, bytes: &[u8], now: Timestamp) -> Vec<Received> {
         let mut heard = Vec::new();
         for byte in bytes {
             match self.framer.push(*byte) {
                 Some(Piece::Sentence(text)) => self.take(&text, now, &mut heard),
-                Some(Piece::Unreadable(why)) => heard.push(Heard::Unreadable(why)),
+                Some(Piece::Unreadable(why)) => heard.push(Received::Unreadable(why)),
                 None => {}
             }
         }
@@ -125,7 +125,7 @@ impl Nmea {
         self.framer.noise_bytes()
     }
 
-    fn take(&mut self, text: &str, now: Timestamp, heard: &mut Vec<Heard>) {
+    fn take(&mut self, text: &str, now: Timestamp, heard: &mut Vec<Received>) {
         match Sentence::parse(text) {
             Ok(Sentence::Gga(gga)) => {
                 self.turn_to(gga.time, self.said.gga == Some(gga), now, heard);
@@ -140,7 +140,7 @@ impl Nmea {
                 self.said.zda = Some(zda);
             }
             Ok(Sentence::Other) => return,
-            Err(why) => return heard.push(Heard::Unreadable(why)),
+            Err(why) => return heard.push(Received::Unreadable(why)),
         }
         if self.said.gga.is_some() && self.said.rmc.is_some() {
             self.finish(now, heard);
@@ -154,7 +154,7 @@ impl Nmea {
         time: Option<TimeOfDay>,
         is_said_again: bool,
         now: Timestamp,
-        heard: &mut Vec<Heard>,
+        heard: &mut Vec<Received>,
     ) {
         if self.time != time || time.is_none() || is_said_again {
             self.finish(now, heard);
@@ -162,12 +162,12 @@ impl Nmea {
         }
     }
 
-    fn finish(&mut self, now: Timestamp, heard: &mut Vec<Heard>) {
+    fn finish(&mut self, now: Timestamp, heard: &mut Vec<Received>) {
         let said = std::mem::take(&mut self.said);
         if said.gga.is_some() || said.rmc.is_some() {
             heard.push(match said.judge(now) {
-                Ok(fix) => Heard::Fix(fix),
-                Err(refused) => Heard::Refused(refused),
+                Ok(fix) => Received::Fix(fix),
+                Err(refused) => Received::Refused(refused),
             });
         }
     }

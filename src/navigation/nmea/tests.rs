@@ -24,7 +24,7 @@ fn rmc(time: &str, velocity: &str, date: &str, modes: &str) -> String {
     ))
 }
 
-fn hear_at(bytes: &[u8], clock: &str) -> (Vec<Heard>, GpsCounts) {
+fn hear_at(bytes: &[u8], clock: &str) -> (Vec<Received>, GpsCounts) {
     let mut receiver = Nmea::default();
     let heard = receiver.feed(bytes, clock.parse().unwrap());
     let mut counts = GpsCounts::default();
@@ -33,13 +33,13 @@ fn hear_at(bytes: &[u8], clock: &str) -> (Vec<Heard>, GpsCounts) {
     (heard, counts)
 }
 
-fn hear(text: &str) -> (Vec<Heard>, GpsCounts) {
+fn hear(text: &str) -> (Vec<Received>, GpsCounts) {
     hear_at(text.as_bytes(), CLOCK)
 }
 
 fn fixes(text: &str) -> Vec<TimedFix> {
     let fix = |heard| match heard {
-        Heard::Fix(fix) => Some(fix),
+        Received::Fix(fix) => Some(fix),
         _ => None,
     };
     hear(text).0.into_iter().filter_map(fix).collect()
@@ -48,7 +48,7 @@ fn fixes(text: &str) -> Vec<TimedFix> {
 /// The only rejected fix of a text.
 fn refusal_at(text: &str, clock: &str) -> (Refusal, String) {
     match hear_at(text.as_bytes(), clock).0.as_slice() {
-        [Heard::Refused(refused)] => (refused.refusal, refused.to_string()),
+        [Received::Refused(refused)] => (refused.refusal, refused.to_string()),
         other => panic!("{text}: {other:?}"),
     }
 }
@@ -67,7 +67,7 @@ fn two_sentences_of_a_second_make_a_fix_in_whatever_pieces_and_order_they_come()
             let now = CLOCK.parse().unwrap();
             let pieces = text.as_bytes().chunks(pieces);
             let heard: Vec<_> = pieces.flat_map(|piece| receiver.feed(piece, now)).collect();
-            let [Heard::Fix(fix)] = heard.as_slice() else {
+            let [Received::Fix(fix)] = heard.as_slice() else {
                 panic!("{heard:?}");
             };
             assert_eq!(fix.utc.to_string(), "2024-03-23T12:35:19.5Z");
@@ -157,7 +157,10 @@ fn a_date_of_another_day_is_refused_and_a_rollover_is_called_so() {
     // A clock that is off by hours is no reason to lose the position.
     for clock in ["2024-03-23T00:40:00Z", "2024-03-24T00:30:00Z"] {
         let (heard, _) = hear_at(of("230324").as_bytes(), clock);
-        assert!(matches!(heard[..], [Heard::Fix(_)]), "{clock}: {heard:?}");
+        assert!(
+            matches!(heard[..], [Received::Fix(_)]),
+            "{clock}: {heard:?}"
+        );
     }
 }
 
@@ -173,7 +176,7 @@ fn binary_messages_between_sentences_cost_none_of_them() {
         bytes.extend(&binary);
     }
     let (heard, counts) = hear_at(&bytes, CLOCK);
-    assert!(matches!(heard[..], [Heard::Fix(_)]), "{heard:?}");
+    assert!(matches!(heard[..], [Received::Fix(_)]), "{heard:?}");
     assert_eq!((counts.fixes, counts.unreadable), (1, 0));
     // All except blanks and line ends, six of 256.
     assert!(
@@ -217,7 +220,7 @@ fn what_cannot_be_read_is_counted_and_says_why() {
         let (heard, counts) = hear(&text);
         assert_eq!(counts.unreadable, 1, "{text}: {heard:?}");
         let why = heard.iter().find_map(|heard| match heard {
-            Heard::Unreadable(why) => Some(why.to_string()),
+            Received::Unreadable(why) => Some(why.to_string()),
             _ => None,
         });
         assert!(
@@ -286,7 +289,7 @@ fn places_that_receivers_invent_are_refused() {
 fn second_60_is_the_next_minutes_first() {
     let leap = gga("235960.00", "1") + &rmc("235960.00", "22.4,84.4", "311216", "A");
     let (heard, _) = hear_at(leap.as_bytes(), "2017-01-01T00:00:00Z");
-    let [Heard::Fix(fix)] = heard.as_slice() else {
+    let [Received::Fix(fix)] = heard.as_slice() else {
         panic!("{heard:?}");
     };
     // As in Unix time.
@@ -304,8 +307,8 @@ fn a_receiver_without_rmc_gives_places_dated_by_zda_or_by_the_clock() {
     // Times on both sides of midnight.
     let around = gga("235959.50", "1") + &gga("000000.50", "1") + &gga("000001.50", "1");
     let (heard, _) = hear_at(around.as_bytes(), "2024-03-23T23:59:59.9Z");
-    let utc = |heard: &Heard| match heard {
-        Heard::Fix(fix) => fix.utc.to_string(),
+    let utc = |heard: &Received| match heard {
+        Received::Fix(fix) => fix.utc.to_string(),
         other => panic!("{other:?}"),
     };
     let found: Vec<_> = heard.iter().map(utc).collect();

@@ -1,7 +1,7 @@
 use super::super::ClockStep;
+use super::super::comparison::{ComparedAxis, Contradiction};
 use super::super::mapping::TemperatureDependence;
 use super::super::roll_output::RollSummary;
-use super::super::witnesses::{ComparedAxis, Contradiction};
 use super::*;
 use crate::navigation::Axis;
 use crate::units::Measured;
@@ -54,7 +54,7 @@ fn summary(temperature: TemperatureDependence) -> Summary {
         },
         path_process_noise_mil_per_s2_5: None,
         pointing: PointingFacts {
-            witnesses: Some(compared()),
+            cameras_against_gyros: Some(compared()),
             on_target: Some(OnTarget {
                 valid_s: 0.0,
                 within_20_arcsec_s: 0.0,

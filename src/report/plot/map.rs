@@ -1,7 +1,7 @@
 //! Maps of a square field: vectors as arrows with an arrow of known length, numbers as colours with a colour scale.
 
 use super::axis::{Axis, extent, short};
-use super::ground::{Ground, Scale, Shades};
+use super::field::{MapField, Scale, Shades};
 use super::labels::{Labels, PlotError};
 use super::sheet::{Entry, Swatch};
 use std::collections::BTreeMap;
@@ -56,7 +56,7 @@ pub fn vector_map(
         swatch: Swatch::Arrow(shown * px_per_unit),
         colour: ARROW,
     }];
-    let mut sheet = Ground::over(range.clone(), range).sheet(labels, legend, None);
+    let mut sheet = MapField::over(range.clone(), range).sheet(labels, legend, None);
     for arrow in arrows {
         let from = sheet.place(arrow.at);
         let (dx, dy) = (arrow.vector.0 * px_per_unit, arrow.vector.1 * px_per_unit);
@@ -88,12 +88,12 @@ fn round_down(value: f64) -> f64 {
 /// If there is nothing to draw.
 pub fn scalar_map(
     labels: &Labels,
-    ground: &Ground,
+    field: &MapField,
     cells: &[Cell],
     cell: f64,
     unit: &str,
 ) -> Result<String, PlotError> {
-    let shown = cells.iter().filter(|cell| ground.contains(cell.at));
+    let shown = cells.iter().filter(|cell| field.contains(cell.at));
     let values = extent(shown.clone().map(|cell| cell.value)).ok_or_else(|| labels.empty())?;
     let scale = Scale {
         axis: match values {
@@ -103,7 +103,7 @@ pub fn scalar_map(
         shades: &SHADES,
         name: unit,
     };
-    let mut sheet = ground.sheet(labels, Vec::new(), Some(&scale));
+    let mut sheet = field.sheet(labels, Vec::new(), Some(&scale));
     let [left, top, right, bottom] = sheet.panel();
     for one in shown.filter(|one| one.value.is_finite()) {
         let (x, y) = one.at;
@@ -114,14 +114,14 @@ pub fn scalar_map(
         });
         sheet.rectangle(corners[0], corners[1], &scale.colour(one.value));
     }
-    ground.draw_lines(&mut sheet);
-    ground.draw_target(&mut sheet);
+    field.draw_lines(&mut sheet);
+    field.draw_target(&mut sheet);
     Ok(sheet.finish())
 }
 
 /// A round width of cells for a field.
-pub fn cell_of(ground: &Ground) -> f64 {
-    let wanted = (ground.x.end - ground.x.start) / CELLS;
+pub fn cell_of(field: &MapField) -> f64 {
+    let wanted = (field.x.end - field.x.start) / CELLS;
     round_down(2.0 * wanted)
 }
 
@@ -186,9 +186,9 @@ mod tests {
             value: f64::from(n),
         };
         let cells: Vec<Cell> = (0..=10).map(cell).collect();
-        let svg = scalar_map(&labels, &Ground::about_zero(20.0), &cells, 1.0, "frames").unwrap();
+        let svg = scalar_map(&labels, &MapField::about_zero(20.0), &cells, 1.0, "frames").unwrap();
         assert!(svg.contains("#c7e9b4") && svg.contains("#253494") && svg.contains(">frames<"));
-        assert!(scalar_map(&labels, &Ground::about_zero(1.0), &cells[..1], 1.0, "").is_ok());
+        assert!(scalar_map(&labels, &MapField::about_zero(1.0), &cells[..1], 1.0, "").is_ok());
     }
 
     #[test]
@@ -206,6 +206,6 @@ mod tests {
         assert_eq!(found[0], ((-1.0, 1.0), 0.1));
         assert_eq!(found[1].0, (1.0, 1.0));
         assert!((found[1].1 - 0.3).abs() < 1e-12);
-        assert_eq!(cell_of(&Ground::about_zero(50.0)), 2.0);
+        assert_eq!(cell_of(&MapField::about_zero(50.0)), 2.0);
     }
 }

@@ -4,13 +4,13 @@
 //! - `sheet`: the drawing area: title, legend above the panel, grid, shapes.
 //! - `thin`: reduction of long series that preserves extreme values.
 //! - `clip`: the parts of lines in a panel.
-//! - `ground`: the square field of maps, and their colour scale.
+//! - `field`: the square field of maps, and their colour scale.
 //! - `series`, `curves`, `histogram`, `map`, `path_map`: one kind of figure each.
 
 mod axis;
 mod clip;
 mod curves;
-mod ground;
+mod field;
 mod histogram;
 mod labels;
 mod map;
@@ -20,7 +20,7 @@ mod sheet;
 mod thin;
 
 pub use curves::{Curve, Stroke, curves};
-pub use ground::{Ground, Line};
+pub use field::{Line, MapField};
 pub use histogram::{Density, histogram};
 pub use labels::{Horizontal, Labels, PlotError};
 pub use map::{Arrow, Cell, binned, cell_of, scalar_map, vector_map};

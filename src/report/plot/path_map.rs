@@ -2,7 +2,7 @@
 
 use super::axis::{Axis, extent};
 use super::clip;
-use super::ground::{Ground, Scale, Shades};
+use super::field::{MapField, Scale, Shades};
 use super::labels::{Labels, PlotError};
 use super::sheet::{Entry, Sheet, Stroke, Swatch, px};
 use super::thin::{PIECE_PX, Piece, longest_step, uncovered};
@@ -53,7 +53,7 @@ const MARGIN_PX: f64 = 10.0;
 /// If there is nothing to draw.
 pub fn path_map(
     labels: &Labels,
-    ground: &Ground,
+    field: &MapField,
     path: &[PathPosition],
     ellipse: Option<&Ellipse>,
 ) -> Result<String, PlotError> {
@@ -66,13 +66,13 @@ pub fn path_map(
         shades: &TIMES,
         name: "UTC",
     };
-    let px_per_unit = ground.px_per_unit();
+    let px_per_unit = field.px_per_unit();
     let is_shown = |e: &&Ellipse| 2.0 * e.semi_axes[0] * px_per_unit >= LEAST_ELLIPSE_PX;
     let legend = legend(path, ellipse.map(|one| (one, is_shown(&one))));
-    let mut sheet = ground.sheet(labels, legend, Some(&scale));
-    ground.draw_lines(&mut sheet);
+    let mut sheet = field.sheet(labels, legend, Some(&scale));
+    field.draw_lines(&mut sheet);
     draw_path(&mut sheet, path, scale.axis);
-    ground.draw_target(&mut sheet);
+    field.draw_target(&mut sheet);
     if let Some(ellipse) = ellipse.filter(is_shown) {
         draw_ellipse(&mut sheet, ellipse, px_per_unit);
     }
@@ -201,11 +201,11 @@ mod tests {
 
     #[test]
     fn later_places_have_other_colours_and_west_is_to_the_right() {
-        let ground = Ground::about_zero(100.0);
+        let field = MapField::about_zero(100.0);
         let path: Vec<PathPosition> = (0..100)
             .map(|n| position(n, (f64::from(n) - 50.0, 0.0)))
             .collect();
-        let svg = path_map(&labels(), &ground, &path, None).unwrap();
+        let svg = path_map(&labels(), &field, &path, None).unwrap();
         let pieces = across(&svg, "stroke-width=\"2\"");
         assert!(pieces.len() > 50, "{}", pieces.len());
         assert!(pieces.is_sorted_by(|a, b| a[0] < b[0]), "{pieces:?}");
@@ -218,7 +218,7 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert!(!svg.contains("NaN") && !svg.contains("not valid"));
-        assert!(path_map(&labels(), &ground, &[], None).is_err());
+        assert!(path_map(&labels(), &field, &[], None).is_err());
     }
 
     #[test]
@@ -227,17 +227,17 @@ mod tests {
             .map(|n| (f64::from(n) * 10.0).to_radians().sin_cos())
             .map(|(sin, cos)| (500.0 * cos, 500.0 * sin))
             .collect();
-        let ground = Ground {
+        let field = MapField {
             outline: limb,
             target: vec![(3.0, 4.0)],
-            ..Ground::over(400.0..600.0, -100.0..100.0)
+            ..MapField::over(400.0..600.0, -100.0..100.0)
         };
         let slew = |n: u32| PathPosition {
             is_valid: n < 50,
             ..position(n, (f64::from(n) * 10.0, 0.0))
         };
         let path: Vec<PathPosition> = (0..100).map(slew).collect();
-        let svg = path_map(&labels(), &ground, &path, None).unwrap();
+        let svg = path_map(&labels(), &field, &path, None).unwrap();
         assert!(svg.contains("not valid") && !svg.contains(">target<"));
         let grey = across(&svg, &format!("stroke=\"{INVALID}\" stroke-width=\"2\"")).concat();
         assert!(grey.iter().all(|x| (78.0..=600.0).contains(x)), "{grey:?}");
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn an_ellipse_that_does_not_show_is_said() {
-        let ground = Ground::about_zero(100.0);
+        let field = MapField::about_zero(100.0);
         let drawn = |size: f64| {
             let ellipse = Ellipse {
                 name: "1 sigma".into(),
@@ -256,7 +256,7 @@ mod tests {
             };
             path_map(
                 &labels(),
-                &ground,
+                &field,
                 &[position(0, (0.0, 0.0))],
                 Some(&ellipse),
             )
@@ -277,7 +277,7 @@ mod tests {
             })
             .collect();
         for reach in [1100.0, 400.0] {
-            let svg = path_map(&labels(), &Ground::about_zero(reach), &path, None).unwrap();
+            let svg = path_map(&labels(), &MapField::about_zero(reach), &path, None).unwrap();
             assert!(svg.len() < 1_000_000, "{reach}: {}", svg.len());
         }
     }

@@ -30,7 +30,7 @@ use crate::config;
 use crate::link::Housekeeping;
 use crate::link::{Counters, Counts};
 use crate::log::worth_a_line;
-use crate::record::Upkeep;
+use crate::record::ArchiveState;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
@@ -168,14 +168,14 @@ impl ReceivesFrames for Archive {
     fn receive(&self, frame: &SolvedFrame) {
         let stored_at = self.queue_picture(frame);
         let deadline = Instant::now() + STORAGE_TIMEOUT;
-        let upkeep = self.gauges.upkeep();
+        let archive_state = self.gauges.archive_state();
         if self.logs.is_empty() {
             return;
         }
         let report = Arc::new(RowReport::new(&self.gauges.rows));
         for (log, stored_at) in self.logs.iter().zip(stored_at) {
             let mut row = frame.row();
-            row.upkeep = upkeep;
+            row.archive_state = archive_state;
             let entry = Entry::Row(RowEntry {
                 station: frame.station.index,
                 row: Box::new(row),
@@ -294,9 +294,9 @@ impl Gauges {
     }
 
     /// Telemetry of the archive itself.
-    fn upkeep(&self) -> Upkeep {
+    fn archive_state(&self) -> ArchiveState {
         let free = |disk: usize| health_of(self.disks.get(disk)?).free_percent;
-        Upkeep {
+        ArchiveState {
             free_percent: [free(0), free(1)],
             waiting: self.waiting() as u64,
             unstored: self.frames.counters.unstored.get(),

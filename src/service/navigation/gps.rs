@@ -3,7 +3,7 @@
 use super::rows::gps_row;
 use super::{Filter, Navigator};
 use crate::log::worth_a_line;
-use crate::navigation::nmea::{Heard, Refusal, Refused, TimedFix};
+use crate::navigation::nmea::{Received, Refusal, Refused, TimedFix};
 use crate::navigation::{Fix, Measurement};
 use crate::service::messages::NavigationLog;
 use crate::service::tally::NavigationTally;
@@ -56,15 +56,15 @@ impl Filter<'_> {
 
 impl NavigationTally {
     /// Counts the GPS receiver's data, and logs unusable ones.
-    pub(super) fn note_gps(&mut self, sentence: &Heard) {
+    pub(super) fn note_gps(&mut self, sentence: &Received) {
         let count = self.gps.note(sentence);
         if !worth_a_line(count) {
             return;
         }
         match sentence {
-            Heard::Fix(_) => {}
-            Heard::Refused(why) => tracing::warn!(count, %why, "a GPS fix is not used"),
-            Heard::Unreadable(why) => {
+            Received::Fix(_) => {}
+            Received::Refused(why) => tracing::warn!(count, %why, "a GPS fix is not used"),
+            Received::Unreadable(why) => {
                 tracing::warn!(count, %why, "a sentence of the GPS receiver cannot be read");
             }
         }
@@ -72,7 +72,7 @@ impl NavigationTally {
 
     /// Counts and logs a fix that is inconsistent with earlier ones.
     pub(super) fn refuse_fix(&mut self, refusal: Refusal, why: String) {
-        self.note_gps(&Heard::Refused(Refused::new(refusal, why)));
+        self.note_gps(&Received::Refused(Refused::new(refusal, why)));
     }
 
     /// Notes the total number of the GPS receiver's bytes that were part of no sentence, and logs it each time it has doubled.

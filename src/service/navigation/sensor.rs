@@ -5,7 +5,7 @@ use super::inputs::Inputs;
 use crate::clock::FlightClock;
 use crate::link::{Connection, Direction, Packet, Parser, PortError};
 use crate::log::worth_a_line;
-use crate::navigation::nmea::{Heard, Nmea};
+use crate::navigation::nmea::{Nmea, Received};
 use crate::service::messages::{Input, ReceivesSamples};
 use crate::service::shared::Shared;
 use crate::service::tally::NavigationTally;
@@ -90,7 +90,7 @@ impl Sensor {
                     tally.note_gps_noise(noise_before + sentences.noise_bytes());
                     drop(tally);
                     for one in read {
-                        if let Heard::Fix(fix) = one {
+                        if let Received::Fix(fix) = one {
                             self.inputs.take(Input::Fix(fix));
                         }
                     }

@@ -9,7 +9,7 @@ use crate::demo::JudgedOffset;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{self, DEMO_NAVIGATION};
 use crate::link::Propagated;
-use crate::navigation::nmea::{Heard, Nmea, Refusal, TimedFix};
+use crate::navigation::nmea::{Nmea, Received, Refusal, TimedFix};
 use crate::pointing::sun_in_telescope;
 use crate::simulate::navigation::TelescopeFlight;
 use crate::simulate::{FORT_SUMNER, SUN_RADIUS_ARCSEC, Trajectory};
@@ -111,7 +111,7 @@ fn seen(camera: usize, target: Target, since: Duration, direction: Direction) ->
 fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
     let read = receiver.feed(sentences.as_bytes(), START.parse().unwrap());
     let fix = |sentence| match sentence {
-        Heard::Fix(fix) => fix,
+        Received::Fix(fix) => fix,
         other => panic!("{other:?}"),
     };
     read.into_iter().map(fix).collect()

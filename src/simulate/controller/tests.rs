@@ -175,12 +175,12 @@ fn tracking_is_asked_for_until_it_is_on() {
     assert_eq!(port.heard.len(), 3);
     let on = Message::TrackingOn.packet(id::CONTROLLER, 1).unwrap();
     port.to_say.push_back(on.encode());
-    controller.poll(&mut port, start + 2 * PATIENCE).unwrap();
+    controller.poll(&mut port, start + 2 * TIMEOUT).unwrap();
     assert!(controller.is_obeyed());
-    controller.poll(&mut port, start + 100 * PATIENCE).unwrap();
+    controller.poll(&mut port, start + 100 * TIMEOUT).unwrap();
     assert_eq!(port.heard.len(), 3);
     controller.stop_tracking();
-    controller.poll(&mut port, start + 100 * PATIENCE).unwrap();
+    controller.poll(&mut port, start + 100 * TIMEOUT).unwrap();
     let stop = Message::StopTracking.packet(id::ASPECT, 4).unwrap();
     assert_eq!(port.heard.last(), Some(&stop.encode()));
 }

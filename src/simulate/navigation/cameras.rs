@@ -43,7 +43,7 @@ impl DirectionErrors {
 
 /// Times at which a camera observes its targets.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Seen {
+pub enum Visibility {
     Always,
     /// From one time to another, both included.
     Between {
@@ -57,7 +57,7 @@ pub enum Seen {
     },
 }
 
-impl Seen {
+impl Visibility {
     fn at(&self, t_s: f64) -> bool {
         match *self {
             Self::Always => true,
@@ -79,7 +79,7 @@ pub struct TargetCamera {
     pub correlation_time_s: f64,
     pub rate_hz: u64,
     pub targets: Vec<Target>,
-    pub seen: Seen,
+    pub visibility: Visibility,
 }
 
 /// The cameras' targets and errors.
@@ -121,7 +121,7 @@ pub(super) fn measured(
         let mut mounted = Mounted::drawn(camera, sky, random(seed, Drawn::Camera(place)));
         // None at the start itself: every measurement is at the time of a row of the IMU.
         let times_s = span.ticks_s(camera.rate_hz).skip(1);
-        for t_s in times_s.filter(|t_s| camera.seen.at(*t_s)) {
+        for t_s in times_s.filter(|t_s| camera.visibility.at(*t_s)) {
             rows.extend(mounted.measured(&motion.at(t_s), t_s));
         }
     }

@@ -26,7 +26,7 @@ mod telescope;
 #[cfg(test)]
 mod tests;
 
-pub use cameras::{DirectionErrors, Seen, Target, TargetCamera};
+pub use cameras::{DirectionErrors, Target, TargetCamera, Visibility};
 pub use faults::{FaultyImu, IMU_FAULTS, ImuFault, Shows};
 pub use files::WriteError;
 pub use imu::ImuErrors;

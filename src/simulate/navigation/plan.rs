@@ -1,7 +1,7 @@
 //! Plans of simulated flights: vehicle, duration and errors.
 
 use super::balloon::{self, Balloon};
-use super::cameras::{DirectionErrors, Seen, Sky, Target, TargetCamera};
+use super::cameras::{DirectionErrors, Sky, Target, TargetCamera, Visibility};
 use super::earth::FixedSun;
 use super::imu::ImuErrors;
 use super::motion::Motion;
@@ -82,7 +82,7 @@ impl FlightPlan {
             correlation_time_s: CORRELATION_TIME_S,
             rate_hz: 1,
             targets: vec![Target::Sun, Target::Nadir],
-            seen: Seen::Between {
+            visibility: Visibility::Between {
                 from_s: 171.0,
                 to_s: 300.0,
             },
@@ -113,7 +113,7 @@ impl FlightPlan {
             correlation_time_s: CORRELATION_TIME_S,
             rate_hz: 4,
             targets: vec![Target::Sun],
-            seen: Seen::WithGaps {
+            visibility: Visibility::WithGaps {
                 period_s: 180.0,
                 gap_s: 60.0,
             },
@@ -123,7 +123,7 @@ impl FlightPlan {
             body_from_camera: balloon::ALONG_SECOND,
             misalignment_sigma_deg: 0.3,
             targets: vec![Target::Nadir],
-            seen: Seen::Always,
+            visibility: Visibility::Always,
             ..pyas.clone()
         };
         Self {

@@ -90,9 +90,9 @@ def test_a_refined_flight_is_tables(archive, refined):
 
 def test_a_summary_of_an_earlier_version_is_read_under_the_new_names(tmp_path):
     (tmp_path / "aspect.fits").touch()
-    (tmp_path / "summary.json").write_text('{"odd": {"off the path": 2}, "second_look": 3, "mapping": {"sigmas_raised": 1.2}}')
+    (tmp_path / "summary.json").write_text('{"odd": {"off the path": 2}, "second_look": 3, "witnesses": null, "mapping": {"sigmas_raised": 1.2}}')
     summary = solaspect.open_refined(tmp_path).summary
-    assert summary == {"flagged": {"off the path": 2}, "second_pass": 3, "mapping": {"inflation": 1.2}}
+    assert summary == {"flagged": {"off the path": 2}, "second_pass": 3, "cameras_against_gyros": None, "mapping": {"inflation": 1.2}}
 
 
 def test_refine_takes_its_options(archive, tmp_path):

@@ -93,7 +93,7 @@ pub struct Cost {
 /// Duration for which the process is stopped.
 const STOP: Duration = Duration::from_secs(12);
 /// Time that the watch waits for a hanging thread.
-const PATIENCE_S: f64 = 10.0;
+const TIMEOUT_S: f64 = 10.0;
 /// Delays up to this number of frames are absorbed by a camera's buffers.
 const BUFFERED: f64 = 18.0;
 
@@ -152,7 +152,7 @@ impl Fault {
             not_taken: match self {
                 CameraSilent | CameraPanic => [frames; 2],
                 // The watch replaces the thread after ten seconds.
-                CameraHangs => between(PATIENCE_S, PATIENCE_S + 1.0),
+                CameraHangs => between(TIMEOUT_S, TIMEOUT_S + 1.0),
                 Stopped => between(STOP.as_secs_f64(), STOP.as_secs_f64() + 1.0),
                 _ => [0; 2],
             },

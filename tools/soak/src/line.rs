@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 /// Pause of the thread while it does not listen.
 const PAUSE: Duration = Duration::from_millis(10);
 /// Time limit for the answer to "stop tracking".
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 /// Number of items between two polls of a flood: about 400 commands or 20,000 bytes of garbage per second.
 const COMMANDS: usize = 8;
@@ -227,7 +227,7 @@ impl End {
             self.step(habit);
         }
         self.controller.stop_tracking();
-        let end = Instant::now() + PATIENCE;
+        let end = Instant::now() + TIMEOUT;
         while !self.controller.is_obeyed() && Instant::now() < end {
             self.step(Habit::Good);
         }

@@ -147,7 +147,7 @@ class Archive:
 
 
 # Keys of summaries written by earlier versions, still read in 0.2.
-_RENAMED = {"odd": "flagged", "second_look": "second_pass", "swings": "swings_mil", "sigmas_raised": "inflation"}
+_RENAMED = {"witnesses": "cameras_against_gyros", "odd": "flagged", "second_look": "second_pass", "swings": "swings_mil", "sigmas_raised": "inflation"}
 
 
 def _with_new_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

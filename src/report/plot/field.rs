@@ -10,7 +10,7 @@ pub type Line = Vec<(f64, f64)>;
 
 /// The field of a map: the range of both axes, equally long, and the lines below and above its contents.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ground {
+pub struct MapField {
     pub x: Range<f64>,
     pub y: Range<f64>,
     pub outline: Line,
@@ -31,7 +31,7 @@ const OUTLINE: &str = "#b5761c";
 const TARGET: &str = "#000000";
 const TARGET_PX: f64 = 7.0;
 
-impl Ground {
+impl MapField {
     /// An empty field.
     pub fn over(x: Range<f64>, y: Range<f64>) -> Self {
         Self {

@@ -209,14 +209,14 @@ impl fmt::Display for Compared {
 
 impl fmt::Display for Contradiction {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let witness = match self.axis {
+        let sensor = match self.axis {
             Axis::Right | Axis::Up => "the Sun",
             Axis::Roll => "the horizon",
         };
         let (axis, first, last) = (self.axis.name(), &self.first_utc, &self.last_utc);
         write!(
             out,
-            "{witness} contradicts the gyros in {axis} from {first} to {last}: by up to {:.1} sigma",
+            "{sensor} contradicts the gyros in {axis} from {first} to {last}: by up to {:.1} sigma",
             self.most_over_sigma
         )
     }
