@@ -237,12 +237,12 @@ impl Controls {
         self.keep(SENDING, Value::Whole(on.into()));
     }
 
-    /// Whether the controller wants solutions.
+    /// Whether the controller requests solutions.
     pub fn tracking(&self) -> bool {
         self.state().own.tracking
     }
 
-    /// Records whether the controller wants solutions.
+    /// Records whether the controller requests solutions.
     pub fn note_tracking(&self, on: bool) {
         self.keep(TRACKING, Value::Whole(on.into()));
     }

@@ -62,7 +62,7 @@ pub const CLOCKING: Setting = Setting("mounting.clocking_deg");
 pub const TWIST: Setting = Setting("mounting.twist_deg");
 /// Whether this computer sends solutions.
 pub const SENDING: Setting = Setting("link.sending");
-/// Whether the controller wants solutions.
+/// Whether the controller requests solutions.
 pub const TRACKING: Setting = Setting("link.tracking");
 /// The newest stamp of a signed datagram, ns since 1970.
 pub const STAMP: Setting = Setting("link.stamp_ns");
@@ -80,7 +80,7 @@ pub(super) struct CommandOnly {
     /// Whether frames are stored, by role.
     pub stores: [bool; Role::COUNT],
     pub sending: Option<bool>,
-    /// Whether the controller wants solutions.
+    /// Whether the controller requests solutions.
     pub tracking: bool,
     /// The newest stamp of a signed datagram, ns since 1970; 0 without one.
     pub stamp_ns: i64,

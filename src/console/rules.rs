@@ -111,14 +111,14 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["silent_s"],
         good: "constant",
-        otherwise: "time in which a camera gave no frames: see above",
+        otherwise: "time without frames from a camera: see above",
         rules: &[Rule {
             name: "silent_s",
             severity: Severity::Alarm,
             found: |minute| {
                 let silent_s = minute.now.silent_s.saturating_sub(minute.before.silent_s);
                 (silent_s > 0)
-                    .then(|| format!("a camera gave no frames for {silent_s} s of the last minute"))
+                    .then(|| format!("no frames from a camera for {silent_s} s of the last minute"))
             },
         }],
     },
@@ -128,10 +128,10 @@ pub const WATCHES: &[Watch] = &[
         otherwise: "see above",
         rules: &[
             counter!(lost, Alarm, "frame lost by camera or solver|frames lost by camera or solver"),
-            counter!(unstored, Alarm, "frame that no disk took|frames that no disk took"),
+            counter!(unstored, Alarm, "frame stored on no disk|frames stored on no disk"),
             counter!(outdated, Attention, "solution too old to be sent|solutions too old to be sent"),
-            counter!(unsent, Attention, "packet that the line did not take|packets that the line did not take"),
-            counter!(rejected, Attention, "broken packet from the line|broken packets from the line"),
+            counter!(unsent, Attention, "packet that could not be sent|packets that could not be sent"),
+            counter!(rejected, Attention, "corrupt packet received|corrupt packets received"),
             counter!(datagrams_refused, Attention, "datagram refused|datagrams refused"),
             counter!(restarts, Alarm, "thread restarted|threads restarted"),
         ],
@@ -226,8 +226,8 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["simulated"],
         good: "0",
-        otherwise: "the frames are the simulator's, and so are the offsets",
-        rules: &[switch!(simulated, Attention, true, "the frames are the simulator's, and so are the offsets")],
+        otherwise: "frames and offsets are simulated",
+        rules: &[switch!(simulated, Attention, true, "frames and offsets are simulated")],
     },
     Watch {
         fields: &["takeovers", "log_lines_lost", "gps_refused"],

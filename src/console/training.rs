@@ -25,8 +25,8 @@ pub const EXERCISES: &[Exercise] = &[
     Exercise {
         fault: Fault::CameraDead,
         title: "Camera dead",
-        happens: "The camera that sees the plate gives no frames, and says nothing. The camera of the horizon goes on.",
-        shows: "Within 3 s the alarm \"a camera gave no frames\": `silent_s` grows by 1 each second, `fine` does not grow, no solutions of the Sun come. After 10 s \"the \
+        happens: "The pitch-yaw camera delivers no frames and reports no error. The roll camera continues.",
+        shows: "Within 3 s the alarm \"no frames from a camera\": `silent_s` grows by 1 each second, `fine` does not grow, no solutions of the Sun come. After 10 s \"the \
                 inertial filter coasts\": offsets by the gyros go on, with a sigma that grows. The alarm ends a minute after frames come again.",
         remedy: "Point by the gyros while their sigma allows it. Nothing is to be sent: the program searches for the camera, and sets it again when it is back. If it stays silent, have \
                  its power switched off and on.",
@@ -35,8 +35,8 @@ pub const EXERCISES: &[Exercise] = &[
     Exercise {
         fault: Fault::DiskFull,
         title: "Disk full",
-        happens: "The archive's disk takes no byte, and reports that none is free.",
-        shows: "Within 3 s the alarms \"a disk of the archive is 100 % full\" and \"refusals by a disk\", then \"frames that no disk took\": `unstored` grows with each frame, `stored` does \
+        happens: "Every write to the archive's disk fails, and the disk reports no free space.",
+        shows: "Within 3 s the alarms \"a disk of the archive is 100 % full\" and \"refusals by a disk\", then \"frames stored on no disk\": `unstored` grows with each frame, `stored` does \
                 not. Solutions go on. The first alarm ends with the fault, the others a minute later.",
         remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures from then on are lost; the rows of the logs wait, and are written when there is \
                  space. Have files deleted, or another disk mounted.",

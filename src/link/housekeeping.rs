@@ -310,8 +310,8 @@ static MAPPING: Codes = Codes { name: "mapping", rows: &[
     (1, "similarity", "similarity"),
     (2, "affine", "affine"),
     (3, "homography", "homography"),
-    (4, "prior", "the prior's"),
-    (5, "calibration", "the calibration's"),
+    (4, "prior", "of the prior"),
+    (5, "calibration", "of the calibration"),
     (6, "keystone", "keystone"),
 ] };
 
@@ -338,7 +338,7 @@ housekeeping! {
     [system]
     computer: u8, "", "which of the two computers";
     [line]
-    tracking: bool, "", "the controller wants solutions";
+    tracking: bool, "", "the controller requests solutions";
     sending: bool, "", "this computer sends them";
     [system]
     storing: bool, "", "frames of the pitch-yaw camera are stored";
@@ -351,19 +351,19 @@ housekeeping! {
     [cameras]
     lost: u32, "", "frames that the camera or the solver lost";
     incomplete: u16, "", "frames that arrived from the camera with parts missing, and were not used";
-    reconnects: u16, "", "how often a camera was gone and came back";
+    reconnects: u16, "", "reconnections of cameras";
     fine: u32, "", "fine frames";
     coarse: u32, "", "coarse frames";
     none: u32, "", "frames without a Sun";
-    stopped_levels: u16, "", "frames that went no further than levels; from 0 again after 65535, as the next six";
-    stopped_limb: u16, "", "frames that went no further than limb";
-    stopped_marks: u16, "", "frames that went no further than marks";
-    stopped_identification: u16, "", "frames that went no further than identification";
-    stopped_registration: u16, "", "frames that went no further than registration";
-    stopped_aspect: u16, "", "frames that went no further than aspect";
-    stopped_pointing: u16, "", "frames that went no further than pointing";
+    stopped_levels: u16, "", "frames whose processing stopped at levels; wraps to 0 after 65535, as the next six";
+    stopped_limb: u16, "", "frames whose processing stopped at limb";
+    stopped_marks: u16, "", "frames whose processing stopped at marks";
+    stopped_identification: u16, "", "frames whose processing stopped at identification";
+    stopped_registration: u16, "", "frames whose processing stopped at registration";
+    stopped_aspect: u16, "", "frames whose processing stopped at aspect";
+    stopped_pointing: u16, "", "frames whose processing stopped at pointing";
     [frame]
-    number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
+    number: u32, "", "number of the latest frame, to which the fields up to preamp_gain belong";
     quality: u8, "", "the solution's quality" => QUALITY;
     background_dn: Option<f32>, "DN", "level of the background";
     disc_dn: Option<f32>, "DN", "level of the disc";
@@ -392,48 +392,48 @@ housekeeping! {
     [system]
     computer_c: Option<f32>, "deg C", "temperature of the computer";
     [archive]
-    disk_1: Option<u8>, "%", "how full the archive's first disk is";
-    disk_2: Option<u8>, "%", "how full its second disk is";
+    disk_1: Option<u8>, "%", "used part of the archive's first disk";
+    disk_2: Option<u8>, "%", "used part of its second disk";
     [count]
     stored: u32, "", "frames stored";
-    unstored: u32, "", "frames that no disk took";
+    unstored: u32, "", "frames stored on no disk";
     announced: u32, "", "exposures announced to the controller";
     solutions: u32, "", "solutions sent";
-    errors: u32, "", "errors sent in their place";
+    errors: u32, "", "errors sent instead of solutions";
     outdated: u32, "", "solutions too old to be sent";
     [line]
-    unsent: u32, "", "packets that the line did not take";
-    reopened: u16, "", "how often the line was opened again";
-    rejected: u32, "", "packets from the line that were broken";
-    latency_ms: Option<f32>, "ms", "from frame to packet, median of the second";
-    latency_99_ms: Option<f32>, "ms", "the same, 99 %";
+    unsent: u32, "", "packets that could not be sent";
+    reopened: u16, "", "times that the line was reopened";
+    rejected: u32, "", "corrupt packets received";
+    latency_ms: Option<f32>, "ms", "latency from frame to packet, median over the second";
+    latency_99_ms: Option<f32>, "ms", "the same, 99th percentile";
     [cameras]
-    solve_ms: Option<f32>, "ms", "time of solving, median of the second";
+    solve_ms: Option<f32>, "ms", "processing time of a frame, median over the second";
     [system]
     clock_offset_us: Option<f32>, "us", "offset of the clock: the clock minus true time";
-    restarts: u16, "", "threads that were started again";
+    restarts: u16, "", "threads restarted";
     takeovers: u16, "", "of these, threads that hung and were replaced";
     [frame]
     simulated: bool, "", "the frames come from the simulator";
     [cameras]
     calibration_contradicted: bool, "", "fine frames contradict the instrument's rotation, scale or centre by more than 5 sigma";
-    silent_s: u32, "s", "time in which a camera gave no frames though it should have";
-    queued_frames: u16, "", "frames that wait for a solver";
+    silent_s: u32, "s", "time without frames from a camera that should deliver them";
+    queued_frames: u16, "", "frames waiting for a solver";
     [archive]
-    queued_pictures: u16, "", "solved frames that wait for a disk";
-    queued_rows: u16, "", "rows that wait for the logs";
+    queued_pictures: u16, "", "solved frames waiting for a disk";
+    queued_rows: u16, "", "rows waiting for the logs";
     [line]
-    queued_events: u16, "", "events that wait for the line";
+    queued_events: u16, "", "events waiting for the line";
     [archive]
-    disk_1_refusals: u32, "", "how often the archive's first disk refused";
-    disk_2_refusals: u32, "", "how often its second disk refused";
+    disk_1_refusals: u32, "", "refusals by the archive's first disk";
+    disk_2_refusals: u32, "", "refusals by its second disk";
     rows_refused: u32, "", "rows that a log refused, or that did not fit into its queue";
     [system]
-    gps_refused: u16, "", "GPS fixes that were not believed";
+    gps_refused: u16, "", "GPS fixes rejected";
     [count]
     datagrams_refused: u32, "", "datagrams refused: unknown sender, replayed, or not authentic";
     [system]
-    log_lines_lost: u32, "", "log lines that standard error did not take in time";
+    log_lines_lost: u32, "", "log lines dropped because standard error was too slow";
     commit: Digits, "", "commit that the program was built from, its first 8 hexadecimal digits";
     modified: bool, "", "the sources of the program were modified after that commit";
     configuration: Digits, "", "SHA-256 of the flight's configuration (`CONFSHA` of the frames), its first 8 hexadecimal digits";
@@ -453,19 +453,19 @@ housekeeping! {
     moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     [navigation]
-    navigation: u8, "", "the filter by gyros" => NAVIGATION;
+    navigation: u8, "", "state of the inertial filter" => NAVIGATION;
     propagated_azimuth_deg: Option<f32>, "deg", "its latest offset in azimuth";
     propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
     propagated_sigma_deg: Option<f32>, "deg", "the offset's 1 sigma per axis of true angle";
     propagated_roll_deg: Option<f32>, "deg", "roll about the boresight, right side low positive";
     [count]
-    propagated: u32, "", "offsets by the gyros that were sent";
+    propagated: u32, "", "offsets by the gyros sent";
     imu_samples: u32, "", "samples of the IMU";
     [navigation]
     imu_lost: u16, "", "samples that are missing by their counter, or cannot be read";
     [gps]
     gps_fixes: u16, "", "fixes of the GPS receiver";
-    gps_without_fix: u16, "", "times that it had none, or said the same again";
+    gps_without_fix: u16, "", "times that it had none, or repeated one";
     [navigation]
     navigation_refused: u16, "", "fixes and directions that contradict the filter";
     navigation_out_of_time: u16, "", "fixes and directions that came too late or too early";
@@ -474,27 +474,27 @@ housekeeping! {
     [navigation]
     navigation_restarts: u16, "", "restarts of the filter";
     [gps]
-    gps_no_fix: u16, "", "times that the GPS receiver said it has no fix";
-    gps_estimated: u16, "", "its fixes that were not used: by dead reckoning";
-    gps_manual: u16, "", "the same: a place that was typed in";
+    gps_no_fix: u16, "", "times that the GPS receiver reported no fix";
+    gps_estimated: u16, "", "fixes not used: by dead reckoning";
+    gps_manual: u16, "", "the same: a position entered by hand";
     gps_simulator: u16, "", "the same: the receiver is in simulator mode";
     gps_incomplete: u16, "", "the same: a sentence or a field is missing";
     gps_week_rollover: u16, "", "the same: the date is off by a multiple of 1024 weeks";
-    gps_another_day: u16, "", "the same: the date is another than the clock's";
+    gps_another_day: u16, "", "the same: the date differs from the clock's";
     gps_no_place: u16, "", "the same: latitude and longitude are both about 0";
-    gps_out_of_range: u16, "", "the same: place, height or speed are impossible";
+    gps_out_of_range: u16, "", "the same: position, height or speed impossible";
     gps_jumps: u16, "", "the same: far from the last ones and not confirmed";
-    gps_repeated: u16, "", "the same: of the time of the one before";
+    gps_repeated: u16, "", "the same: with the time of the fix before";
     gps_out_of_time: u16, "", "the same: more than 3 s from the IMU's clock";
     gps_unreadable: u16, "", "sentences of the receiver with a wrong checksum, wrong fields or no end";
-    gps_noise_bytes: u32, "", "bytes of the receiver that are part of no sentence";
+    gps_noise_bytes: u32, "", "bytes from the receiver outside of sentences";
     [system]
     values_set: u16, "", "values set by command that differ from the configuration";
     [navigation]
     gyro_right_sigmas: Option<f32>, "", "the Sun along the telescope's right, measured minus predicted by the gyros, in its 1 sigma";
     gyro_up_sigmas: Option<f32>, "", "the same along its up";
     gyro_roll_sigmas: Option<f32>, "", "roll by the nadir, measured minus predicted by the gyros, in its 1 sigma";
-    gyro_agreement: u8, "", "cameras and gyros" => GYRO_AGREEMENT;
+    gyro_agreement: u8, "", "agreement of cameras and gyros" => GYRO_AGREEMENT;
 }
 
 /// The ids of up to sixteen marks of the plate of 2013: i and j, each from -7 to 7.

@@ -21,7 +21,7 @@ fields! {
     CommandOutcome, format!("result of seq {sequence}") => {
         sequence: u16, "", "sequence number of the command";
         key: u16, "", "key of the message, or of the aspect command with its computers";
-        value: u16, "", "0 done, 1 not implemented, 2 refused, 65535 unknown, or what a read has read";
+        value: u16, "", "0 done, 1 not implemented, 2 refused, 65535 unknown, or the value read";
     }
 
     /// Counts of a camera that is not the first of its role.

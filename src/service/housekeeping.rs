@@ -74,7 +74,7 @@ impl HousekeepingSource {
         }
     }
 
-    /// The packets of the next second; `events` is the number of events that wait for the line.
+    /// The packets of the next second; `events` is the number of events waiting for the line.
     pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> SecondPackets {
         let tally = tallies.brief();
         let recents = take_recents(tallies);

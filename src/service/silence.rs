@@ -11,7 +11,7 @@ const OPENING: Duration = Duration::from_secs(5);
 /// Time for a camera to take a command: the longest that `FrameSource::apply` may take.
 const SETTING: Duration = Duration::from_secs(2);
 
-/// The time for which a camera gave no frames though it should have.
+/// Time without frames from a camera that should deliver them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Silence {
     /// Time from which the next frame is overdue: the last frame, or when the camera should be ready; `None` if no frame is
