@@ -59,7 +59,7 @@
 //! | [`log`] | the log on standard error, which blocks no thread |
 //! | `kernels` | vectorised loops over pixels |
 //! | [`memory`] | memory that the program keeps |
-//! | [`tables`] | rows of CSV tables and logs, the bad ones left out |
+//! | [`tables`] | rows of CSV tables and logs; bad ones are rejected |
 //! | [`clock`] | times as other programs write them, to UTC; state of the computer's clock |
 //! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale and least squares; a picture and the data on how it was taken |
 //! | [`smoothing`] | Kalman filter and smoother; a path between frames |
@@ -76,7 +76,7 @@
 //! | [`pointing_history`] | where the telescope pointed, as a function of time |
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
-//! | [`events`] | photons put on the Sun by a refined flight's pointing |
+//! | [`events`] | positions of photons on the Sun, by a refined flight's pointing |
 //! | [`film`] | a film of where the telescope pointed on the Sun |
 //! | [`output`] | outputs of a flight for other programs: JSON lines, NMEA sentences, CCSDS space packets |
 //! | [`config`] | the parameter table |

@@ -138,7 +138,7 @@ impl LeftOut {
     fn lines(&self) -> impl Iterator<Item = String> {
         self.kinds.iter().map(|(kind, (rows, first))| {
             let (kind, rows) = (kind.name(), crate::units::counted(*rows, "row"));
-            format!("{first}; {rows} left out: {kind}")
+            format!("{first}; {rows} rejected: {kind}")
         })
     }
 }
@@ -311,9 +311,9 @@ mod tests {
         let (good, lines) = rows(text);
         assert_eq!(good, [1.0, 2.0, 3.0, 5.0]);
         let wanted = [
-            "log.csv, line 4: row: expected 2 columns, found 1; 2 rows left out: cut",
-            "log.csv, line 9: row: expected text, found zero bytes; 1 row left out: zero bytes",
-            "log.csv, line 3: b: expected a finite number, found \"nan\"; 2 rows left out: unreadable",
+            "log.csv, line 4: row: expected 2 columns, found 1; 2 rows rejected: cut",
+            "log.csv, line 9: row: expected text, found zero bytes; 1 row rejected: zero bytes",
+            "log.csv, line 3: b: expected a finite number, found \"nan\"; 2 rows rejected: unreadable",
         ];
         assert_eq!(lines, wanted);
     }

@@ -137,7 +137,7 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
         (
             "imu.csv",
             IMU.replace("0.03,", "0.02,"),
-            vec!["imu.csv, line 4: t_s", "0.02", "1 row left out: repeated"],
+            vec!["imu.csv, line 4: t_s", "0.02", "1 row rejected: repeated"],
         ),
         (
             "imu.csv",
@@ -145,18 +145,18 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
             vec![
                 "imu.csv, line 4: t_s",
                 "0.015",
-                "1 row left out: out of order",
+                "1 row rejected: out of order",
             ],
         ),
         (
             "imu.csv",
             IMU.replace("-9.7,0,0,0\n0.03", "NaN,0,0,0\n0.03"),
-            vec!["line 3: fz_m_s2", "NaN", "1 row left out: unreadable"],
+            vec!["line 3: fz_m_s2", "NaN", "1 row rejected: unreadable"],
         ),
         (
             "imu.csv",
             IMU.replace("0.03,0,0,-9.7", "0.03,0,0,-9700"),
-            vec!["line 4: specific force", "1 row left out: out of range"],
+            vec!["line 4: specific force", "1 row rejected: out of range"],
         ),
         (
             "imu.csv",
@@ -164,48 +164,48 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
             vec![
                 "line 4: t_s",
                 "1000000000",
-                "1 row left out: of another time",
+                "1 row rejected: of another time",
             ],
         ),
         (
             "imu.csv",
             format!("{IMU}0.04,0,0,-9."),
-            vec!["imu.csv, line 5: row", "1 row left out: cut"],
+            vec!["imu.csv, line 5: row", "1 row rejected: cut"],
         ),
         (
             "imu.csv",
             format!("{IMU}0.04,0,0,-9.7,0,0,0"),
-            vec!["imu.csv, line 5: row", "end of line", "1 row left out: cut"],
+            vec!["imu.csv, line 5: row", "end of line", "1 row rejected: cut"],
         ),
         (
             "imu.csv",
             format!("{IMU}{}\n0.04,0,0,-9.7,0,0,0\n", "\0".repeat(5000)),
-            vec!["imu.csv, line 5: row", "1 row left out: zero bytes"],
+            vec!["imu.csv, line 5: row", "1 row rejected: zero bytes"],
         ),
         (
             "gps.csv",
             late,
-            vec!["gps.csv, line 5: t_s", "2 s before", "1 row left out"],
+            vec!["gps.csv, line 5: t_s", "2 s before", "1 row rejected"],
         ),
         (
             "gps.csv",
             format!("{GPS}1,6400000,0,0,0,inf,0\n1,,,,,,\n"),
-            vec!["gps.csv, line 3: vy_m_s", "2 rows left out: unreadable"],
+            vec!["gps.csv, line 3: vy_m_s", "2 rows rejected: unreadable"],
         ),
         (
             "gps.csv",
             format!("{GPS}0,6400000,0,0,0,0,0\n"),
-            vec!["gps.csv, line 3: t_s", "1 row left out: repeated"],
+            vec!["gps.csv, line 3: t_s", "1 row rejected: repeated"],
         ),
         (
             "vectors.csv",
             VECTORS.to_owned() + "0,pyass,sun,0,0,1,1e-6\n0,pyas,mars,0,0,1,1e-6\n",
-            vec!["line 4: camera", "\"pyass\"", "2 rows left out: unreadable"],
+            vec!["line 4: camera", "\"pyass\"", "2 rows rejected: unreadable"],
         ),
         (
             "vectors.csv",
             VECTORS.to_owned() + "0,pyas,sun,0,0,2,1e-6\n0,pyas,nadir,0,0,1,0.0001\n",
-            vec!["line 4: x, y, z", "2 rows left out: out of range"],
+            vec!["line 4: x, y, z", "2 rows rejected: out of range"],
         ),
         (
             "vectors.csv",
@@ -213,13 +213,13 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
             vec![
                 "line 4: sun",
                 "does not reach",
-                "1 row left out: out of range",
+                "1 row rejected: out of range",
             ],
         ),
         (
             "sun.csv",
             format!("{SUN}1,0,1,0\n2,0,1,0\n"),
-            vec!["sun.csv, line 4: t_s", "1 row left out: repeated"],
+            vec!["sun.csv, line 4: t_s", "1 row rejected: repeated"],
         ),
     ] {
         let (output, folder) = navigate(file, &text);
@@ -228,7 +228,7 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
         for word in wanted {
             assert!(said.contains(word), "{said} lacks {word}");
         }
-        assert_eq!(said.matches("left out").count(), 1, "{said}");
+        assert_eq!(said.matches("rejected").count(), 1, "{said}");
         assert!(folder.path().join("out/attitude.csv").exists(), "{said}");
     }
 }

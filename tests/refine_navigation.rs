@@ -237,7 +237,7 @@ fn read_what_a_power_cut_and_a_clock_have_left(
             let of_kind = |line: &&str| line.contains(file) && line.ends_with(kind);
             let lines: Vec<&str> = report.lines().filter(of_kind).collect();
             assert_eq!(lines.len(), 1, "{file} {kind}: {report}");
-            assert!(lines[0].contains("1 row left out"), "{lines:?}");
+            assert!(lines[0].contains("1 row rejected"), "{lines:?}");
         }
     }
     let damaged = numbers(&out.path().join("attitude.csv"));

@@ -152,7 +152,7 @@ impl Made {
     fn fill(disk: &dyn Disk, folder: &Path) -> Result<Vec<Growing>, ArchiveError> {
         let make = |name: &str| {
             let path = folder.join(name);
-            Growing::create(disk, &path).during("make a field of the telemetry", &path)
+            Growing::create(disk, &path).during("create a field of the telemetry", &path)
         };
         let files = fields()
             .map(|field| make(field.name))
@@ -162,7 +162,7 @@ impl Made {
             .append(format_text().as_bytes())
             .during("write the telemetry's format", folder)?;
         disk.sync_folder(folder)
-            .during("bring the folder to the disk", folder)?;
+            .during("flush the folder to the disk", folder)?;
         Ok(files)
     }
 

@@ -65,13 +65,13 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
                 column(
                     "I",
                     "",
-                    "id of a mark that was read",
+                    "id of an identified mark",
                     whole(|mark| mark.id.i),
                 ),
                 column(
                     "J",
                     "",
-                    "id of a mark that was read",
+                    "id of an identified mark",
                     whole(|mark| mark.id.j),
                 ),
                 column("X", "pixel", SEEN, floats(|mark| mark.at.x)),

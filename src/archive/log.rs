@@ -126,7 +126,7 @@ impl Log {
         if csv.whole == 0 {
             self.disk
                 .sync_folder(&self.root)
-                .during("bring the folder to the disk", &self.root)?;
+                .during("flush the folder to the disk", &self.root)?;
         }
         csv.append(&self.columns, fields)
     }

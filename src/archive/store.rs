@@ -155,7 +155,7 @@ impl Store {
         store
             .disk
             .make_root(root)
-            .during("make the archive's folder", root)?;
+            .during("create the archive's folder", root)?;
         store.prepare()?;
         Ok(store)
     }
@@ -414,7 +414,7 @@ impl Store {
     fn write_unfinished(&self, path: &Path, bytes: &[u8]) -> Result<(), ArchiveError> {
         let mut file = self.disk.create(path).during("make the file", path)?;
         file.write_all(bytes).during("write the file", path)?;
-        file.sync().during("bring the file to the disk", path)
+        file.sync().during("flush the file to the disk", path)
     }
 
     fn sync_folder(&self, folder: &Path) -> Result<(), ArchiveError> {
@@ -496,13 +496,13 @@ fn make_folder_in_place(disk: &dyn Disk, root: &Path) -> Result<(), ArchiveError
         return absent.during("find the folder that holds the archive's", parent);
     }
     disk.make_folder(root)
-        .during("make the archive's folder", root)?;
+        .during("create the archive's folder", root)?;
     sync_folder(disk, parent)
 }
 
 fn sync_folder(disk: &dyn Disk, folder: &Path) -> Result<(), ArchiveError> {
     disk.sync_folder(folder)
-        .during("bring the folder to the disk", folder)
+        .during("flush the folder to the disk", folder)
 }
 
 /// A file's bytes, and its path under the root.

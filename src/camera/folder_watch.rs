@@ -347,7 +347,7 @@ fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
             }
             Err(unlisted) if folder == root => return Err(unlisted),
             // A subfolder that is gone again, or that belongs to another user, such as lost+found.
-            Err(unlisted) => tracing::warn!("{unlisted}: left out"),
+            Err(unlisted) => tracing::warn!("{unlisted}: ignored"),
         }
     }
     tree.files.sort();

@@ -34,7 +34,7 @@ pub struct AccuracyArgs {
     #[arg(long, value_name = "S", requires = "only", conflicts_with = "full")]
     seed: Option<u64>,
     /// Measure with this instrument, a TOML file or the name of a built-in one, instead of the demo; limits in arcsec, which are the demo's, and the
-    /// parts about other instruments are left out
+    /// parts about other instruments are skipped
     #[arg(long, value_name = "FILE|NAME")]
     instrument: Option<PathBuf>,
 }
@@ -58,7 +58,7 @@ fn one_frame(part: &str, seed: u64, args: &AccuracyArgs) -> anyhow::Result<ExitC
     say(case_text(&case).trim_end())?;
     if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
+            .with_context(|| format!("cannot create {}", folder.display()))?;
         let file = folder.join(format!("{part}-{seed}.fits"));
         fits::write_frame(&file, &case.scene.frame()?, &[], &[], Compression::Rice)?;
     }

@@ -179,7 +179,7 @@ impl DemoFlight {
         let archive = tempfile::Builder::new()
             .prefix("solaspect-console-")
             .tempdir()
-            .context("cannot make a temporary folder")?;
+            .context("cannot create a temporary folder")?;
         let faults = Faults::default();
         let demo = Demo {
             duration: None,

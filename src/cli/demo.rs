@@ -38,7 +38,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
         None => tempfile::Builder::new()
             .prefix("solaspect-demo-")
             .tempdir()
-            .context("cannot make a temporary folder")?
+            .context("cannot create a temporary folder")?
             .keep(),
     };
     let demo = Demo {

@@ -24,7 +24,7 @@ pub struct FlyArgs {
     /// End after this time [default: fly until SIGTERM, SIGINT or SIGHUP]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
-    /// Fly although the plan has errors (see `solaspect config check`): what is wrong is left out, or stays at its default; without the first camera nothing flies
+    /// Fly although the plan has errors (see `solaspect config check`): what is wrong is ignored, or stays at its default; without the first camera nothing flies
     #[arg(long)]
     force: bool,
 }

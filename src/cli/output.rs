@@ -135,5 +135,5 @@ impl Watch for Follower {
 /// Makes a folder and its parents.
 pub(super) fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: cannot make the folder", folder.display()))
+        .with_context(|| format!("{}: cannot create the folder", folder.display()))
 }

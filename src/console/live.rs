@@ -285,7 +285,7 @@ impl Viewer {
     fn report_left_out(&mut self) {
         self.left_out_sent = Instant::now();
         let words = format!(
-            "on this line: no offsets by gyros, the main fields of the housekeeping, pictures and plots only when asked for; {} updates left out",
+            "on this line: no offsets by gyros, the main fields of the housekeeping, pictures and plots only when asked for; {} updates skipped",
             self.left_out
         );
         let data = json!({"updates": self.left_out, "words": words});

@@ -165,7 +165,7 @@ impl Run<'_> {
     fn provenance(&self) -> Result<Vec<String>, FileError> {
         let pointing = self.files.refined.join(POINTING_FILE);
         Ok(vec![
-            format!("solaspect {LONG_VERSION}: photons put on the Sun"),
+            format!("solaspect {LONG_VERSION}: positions of photons on the Sun"),
             format!("SHA-256 of the pointing, {POINTING_FILE}:"),
             columns::sha256(&pointing)?,
             "SHA-256 of the description of the detectors:".into(),

@@ -88,7 +88,7 @@ impl InputSummary {
         let mut lines = Vec::new();
         if self.copies > 0 {
             let files = counted(self.copies as u64, "file");
-            lines.push(format!("left out: {files} with the same frames as others"));
+            lines.push(format!("skipped: {files} with the same frames as others"));
         }
         lines.extend(self.unreadable.line());
         let warnings = self.warnings.iter();

@@ -46,7 +46,7 @@ impl Plan {
                     remarks.warn("saved values", expected.clone(), difference);
                 }
                 for refused in refused {
-                    let found = format!("{} (left out)", refused.found);
+                    let found = format!("{} (ignored)", refused.found);
                     remarks.warn(&refused.key, refused.expected, found);
                 }
             }

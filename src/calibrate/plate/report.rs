@@ -121,7 +121,7 @@ fn suspects(page: &mut Page, calibration: &Calibration) {
     let suspects = &calibration.suspects;
     page.heading(&format!("Suspect marks: {}", suspects.len()));
     if suspects.is_empty() {
-        return page.note("Every mark that was lit often enough was read where the fit has it.");
+        return page.note("Every mark that was lit often enough was identified at its fitted position.");
     }
     let row = |mark: &SuspectMark| {
         let measured = calibration.fit.marks.iter().any(|m| m.id == mark.id);
@@ -172,11 +172,11 @@ fn marks(calibration: &Calibration) -> [Captioned; 3] {
         ),
         (
             coverage(calibration),
-            "How many observations of each mark count. Marks without a square were never read.",
+            "Number of accepted observations of each mark. Marks without a square were never identified.",
         ),
         (
             sigmas(calibration),
-            "How well each mark's place is known, the mean of both axes.",
+            "1 sigma of each mark's position, mean of both axes.",
         ),
     ]
 }

@@ -21,7 +21,7 @@ pub struct SuspectMark {
 impl fmt::Display for SuspectMark {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { id, lit, read } = self;
-        write!(out, "{id} lit in {lit} frames, read in {read}")
+        write!(out, "{id} lit in {lit} frames, identified in {read}")
     }
 }
 

@@ -182,7 +182,7 @@ fn restore_at(controls: &Controls, file: &SavedValues, now: &Written) -> usize {
             Err(refused) => note(setting, &format!("refused: {refused}")),
         }
         if let Err(refused) = &result {
-            tracing::error!(file = %path.display(), %refused, "a saved value was left out");
+            tracing::error!(file = %path.display(), %refused, "a saved value was rejected");
         }
         result.is_ok()
     });

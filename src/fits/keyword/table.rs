@@ -42,10 +42,10 @@ keywords! {
     MONOTIME, Float, "s", Both, "mid-exposure on the monotonic clock";
     UTCSTEP, Float, "s", Both, "step of UTC since the frame before, if any";
     CAMCLOCK, Integer, "ns", Both, "the camera's own clock at the frame";
-    CLKSYNC, Logical, "", Written, "whether the clock was held to UTC";
-    CLKOFF, Float, "s", Written, "clock ahead of UTC, as the kernel knew";
+    CLKSYNC, Logical, "", Written, "whether the clock was synchronised to UTC";
+    CLKOFF, Float, "s", Written, "clock minus UTC, by the kernel";
     CLKERR, Float, "s", Written, "largest error of the clock, as stated";
-    CLKSRC, Text, "", Written, "time service that held the clock";
+    CLKSRC, Text, "", Written, "time service that steers the clock";
     FRAMENUM, Integer, "", Both, "number of the frame in its sequence";
 
     "Instrument":
