@@ -669,7 +669,7 @@ def a_line_of_6_kb_per_s_is_enough(browser, demo):
     browser.choose("#line", "6000")
     browser.says("#offset-azimuth", r"\d", 60)
     times = {"the page from its start": time.monotonic() - begun}
-    browser.says("#left-out", r"\d+ updates left out", 20)
+    browser.says("#left-out", r"\d+ updates skipped", 20)
     browser.run("window.solaspectDelays.length = 0")
     for selector in ("#offset-azimuth", "[data-field=taken]"):
         begun = time.monotonic()
