@@ -61,7 +61,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
     show(String::new());
     say(&summary)?;
     if is_temporary {
-        say("the archive is kept: remove its folder when it has served")?;
+        say("the archive is kept: remove its folder when it is no longer needed")?;
     }
     Ok(match summary.lost() {
         0 => ExitCode::SUCCESS,

@@ -96,7 +96,7 @@ fn log_start(plan: &Plan, flight: &Flight) {
     }
     let first = plan.cameras.first();
     if first.is_some_and(|first| first.source.is_simulated()) {
-        tracing::warn!("the frames are simulated, and so is what is sent of them");
+        tracing::warn!("frames and offsets are simulated");
     }
 }
 

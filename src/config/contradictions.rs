@@ -36,7 +36,7 @@ impl Config {
         if first.role != Role::PitchYaw {
             missing.push(Refused {
                 key: format!("{}.role", first.name).into(),
-                expected: "\"pitch_yaw\": the controller hears of this camera".into(),
+                expected: "\"pitch_yaw\": the controller receives this camera's solutions".into(),
                 found: format!("\"{}\"", first.role.name()),
             });
         }

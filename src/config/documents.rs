@@ -91,7 +91,7 @@ pub fn parameters_page() -> String {
          Every key of the configuration file. The number is the one by which aspect commands 0x0712 (whole\n\
          numbers) and 0x0722 (others) set a parameter in flight. This page is made from the program's own table.\n\n\
          Further cameras have tables of their own, `[NAME_camera]`, with the keys of `[camera]` and with `role`, which is `\"pitch_yaw\"`,\n\
-         `\"roll\"` or `\"moon\"`. Their frames have folders of their own, and the ground hears of them by telemetry of type 0x72.\n\n\
+         `\"roll\"` or `\"moon\"`. Their frames have folders of their own, and they are reported to the ground by telemetry of type 0x72.\n\n\
          There may be any number of tables `[[output]]`; errors call them `output`, `output-2` and so on.\n",
     );
     for (table, rows) in tables() {

@@ -210,7 +210,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["gyro_agreement", "gyro_right_sigmas", "gyro_up_sigmas", "gyro_roll_sigmas"],
         good: "1; within 5 sigma",
-        otherwise: "2: a direction is more than 5 sigma from where the gyros have it; 3: for 10 s. One of the two is wrong: the filter follows the camera, which may have moved. The log names camera and axis",
+        otherwise: "2: a direction is more than 5 sigma from the gyros' prediction; 3: for 10 s. One of the two is wrong: the filter follows the camera, which may have moved. The log names camera and axis",
         rules: &[Rule {
             name: "gyro_agreement",
             severity: Severity::Alarm,
@@ -258,7 +258,7 @@ pub const WATCHES: &[Watch] = &[
                     )
                 },
             },
-            counter!(rows_refused, Attention, "row that a log refused|rows that a log refused"),
+            counter!(rows_refused, Attention, "row not written to a log|rows not written to a log"),
         ],
     },
     Watch {
@@ -310,7 +310,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["commit", "modified", "configuration"],
         good: "as installed; 0; the first digits of `sha256sum` of `configuration_<start>.toml`",
-        otherwise: "another program, or another configuration or instrument, than was meant",
+        otherwise: "another program, configuration or instrument than intended",
         rules: &[switch!(modified, Attention, true, "the program was built from modified sources")],
     },
     Watch {

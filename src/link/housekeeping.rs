@@ -427,7 +427,7 @@ housekeeping! {
     [archive]
     disk_1_refusals: u32, "", "refusals by the archive's first disk";
     disk_2_refusals: u32, "", "refusals by its second disk";
-    rows_refused: u32, "", "rows that a log refused, or that did not fit into its queue";
+    rows_refused: u32, "", "rows not written to a log, or not taken into its queue";
     [system]
     gps_refused: u16, "", "GPS fixes rejected";
     [count]

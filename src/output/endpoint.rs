@@ -272,7 +272,7 @@ impl Clients {
                     false
                 }
                 Ok(_) if now.saturating_sub(client.took_at) > CLIENT_TIMEOUT => {
-                    tracing::warn!(%peer, "a client of an output takes nothing: it is disconnected");
+                    tracing::warn!(%peer, "a client of an output does not read: disconnected");
                     false
                 }
                 Ok(_) => true,

@@ -53,7 +53,7 @@ pub struct Record {
     pub solve_us: Option<u64>,
 }
 
-/// Reason why a frame went no further.
+/// Reason why processing of a frame stopped.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reason {
     pub stage: &'static str,
@@ -400,11 +400,11 @@ numbers! {
     QUALITY_CODE: code(LoggedRow::quality_code).field("QUALITY", "", "quality: 0 none, 1 coarse, 2 fine");
     STOPPED: code(|r| r.stopped.map_or(0, stage_code))
         .field("STOPPED", "", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing");
-    REASON: text(|r| Some(r.record.reason_text()?.into())).column("reason", All).keyword("REASON", "", "why the frame went no further");
+    REASON: text(|r| Some(r.record.reason_text()?.into())).column("reason", All).keyword("REASON", "", "why processing stopped");
     REASON_MEASURED: number(|r| r.record.reason.as_ref()?.measured).column("reason_measured", All)
-        .keyword("REASONIS", "", "what REASON is about, as measured");
+        .keyword("REASONIS", "", "the measured value of REASON");
     REASON_LIMIT: number(|r| r.record.reason.as_ref()?.limit).column("reason_limit", All)
-        .keyword("REASONLM", "", "the limit that REASONIS fails");
+        .keyword("REASONLM", "", "the limit that REASONIS violates");
     SUN_X_PX: number(|r| Some(r.record.sun_px?[0])).column("sun_x_px", Six)
         .keyword("SUNPX-X", "pixel", "disc's centre, first pixel is 0").field("PIXEL_X", "px", "Sun's centre on the sensor, x");
     SUN_Y_PX: number(|r| Some(r.record.sun_px?[1])).column("sun_y_px", Six)

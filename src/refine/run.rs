@@ -470,12 +470,12 @@ fn ignored_frames(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
         let (frames, label) = (frames(camera), &camera.label);
         match camera.named_role() {
             Some((Role::Moon, 1)) => {
-                format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them")
+                format!("skipped: {frames} of the Moon camera; `solaspect moon` solves them")
             }
             Some((Role::Roll, _)) => format!(
-                "left alone: {frames} of another roll camera, \"{label}\": refine its folder by itself"
+                "skipped: {frames} of another roll camera, \"{label}\": refine its folder by itself"
             ),
-            _ => format!("left alone: {frames} of camera \"{label}\""),
+            _ => format!("skipped: {frames} of camera \"{label}\""),
         }
     });
     let roll = cameras.roll.as_ref().filter(|_| recipes.roll.is_none());

@@ -165,7 +165,7 @@ impl CameraThread {
             tally.lost += 1;
             if worth_a_line(tally.lost) {
                 let lost = tally.lost;
-                tracing::warn!(lost, "the solver cannot follow: a frame was lost");
+                tracing::warn!(lost, "the solver is too slow: a frame was lost");
             }
         }
     }
@@ -234,7 +234,7 @@ impl CommandedSettings {
             self.set = true;
             silence.lock().expect(&self.settings);
             if let Err(error) = source.apply(&self.settings) {
-                tracing::error!(%error, "the camera did not take a setting");
+                tracing::error!(%error, "the camera did not accept a setting");
             }
         }
     }

@@ -43,7 +43,7 @@ const TIMEOUT: Duration = Duration::from_millis(5);
 const SAMPLE_TIMEOUT: Duration = Duration::from_millis(1);
 /// How long a packet waits for space in the system's buffer. At 115200 baud the system's buffer drains 230 bytes in it.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
-/// Bytes in the system's buffer beyond which the line cannot follow: 45 ms at 115200 baud.
+/// Bytes in the system's buffer beyond which the line is too slow: 45 ms at 115200 baud.
 const BACKLOG: usize = 512;
 /// Age beyond which an offset by the gyros is not sent: the next one is better.
 const OLDEST_OFFSET: Duration = Duration::from_millis(100);

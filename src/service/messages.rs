@@ -72,7 +72,7 @@ pub struct SolvedFrame {
 pub struct Solved {
     pub found: Found,
     pub quality: Quality,
-    /// Stage and reason if the frame went no further; set for a coarse frame, too.
+    /// Stage and reason if processing stopped; set for a coarse frame, too.
     pub stopped: Option<Stopped<&'static str>>,
     pub levels: Option<Levels>,
     /// Brightness for the automatic exposure.

@@ -28,7 +28,7 @@
 //! |---|---|---|
 //! | frames | frames to solve | the frame is lost and counted: a camera does not wait; frames of a folder or the simulator wait for 10 s before |
 //! | LatestBrightness | brightness of the last frame | the newer value replaces the older |
-//! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
+//! | pictures | solved frames to store | by the rule `archive.overflow` a picture is dropped and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | inputs | samples, fixes and directions for the filter | the input is lost and counted: neither solvers nor the line wait for the filter |
@@ -114,7 +114,7 @@ impl Service {
         self.signals.stop.store(true, Ordering::Relaxed);
     }
 
-    /// As [`stop`](Self::stop); work that is not finished after this time is given up.
+    /// As [`stop`](Self::stop); work that is not finished after this time is abandoned.
     pub fn stop_within(&self, time: Duration) {
         self.stop();
         self.signals

@@ -61,7 +61,7 @@ impl Counts {
         let dropped = self.dropped.fetch_add(messages, Ordering::Relaxed) + messages;
         if messages > 0 && worth_a_line(dropped) {
             let (to, format) = (&self.to, self.format.name());
-            tracing::warn!(%to, format, dropped, "an output's reader does not follow");
+            tracing::warn!(%to, format, dropped, "an output's reader is too slow");
         }
     }
 }

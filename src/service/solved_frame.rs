@@ -108,7 +108,7 @@ fn sun_in_words(sun: &SolvedSun) -> Option<String> {
             "offset {:.4}, {:.4} deg",
             offset.azimuth_deg, offset.elevation_deg
         ),
-        None => "no offset, for want of a time, a place or a sky".into(),
+        None => "no offset: time, place or ephemeris is missing".into(),
     };
     Some(format!(
         "the Sun at {:.1}, {:.1} mil, 1 sigma {sigma_arcsec:.2} arcsec, {} marks; {offset}",

@@ -84,7 +84,7 @@ impl CameraTally {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SolverTally {
     pub solved: BTreeMap<Quality, u64>,
-    /// Number of frames that went no further, by stage and reason; coarse ones too.
+    /// Number of frames whose processing stopped, by stage and reason; coarse ones too.
     pub reasons: BTreeMap<(&'static str, Reason), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
@@ -106,13 +106,13 @@ impl SolverTally {
         self.solved.values().sum()
     }
 
-    /// Frames that went no further for this reason.
+    /// Frames whose processing stopped for this reason.
     pub fn because(&self, reason: Reason) -> u64 {
         let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
         same.map(|(_, count)| count).sum()
     }
 
-    /// Frames that went no further than this stage.
+    /// Frames whose processing stopped at this stage.
     pub fn stopped_at(&self, stage: impl reasons::Stage) -> u64 {
         let here = self
             .reasons
@@ -159,9 +159,9 @@ pub struct CameraSolved {
 /// Counts of the archive's threads.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
-    /// Pictures given up because the disks could not follow.
+    /// Pictures dropped because the disks were too slow.
     pub overflowed: u64,
-    /// Pictures given up because the disks are nearly full.
+    /// Pictures dropped because the disks are nearly full.
     pub disk_full: u64,
     /// Pictures that could not be stored for another reason.
     pub failed: u64,

@@ -38,13 +38,13 @@ pub(super) struct Signals {
     pub stop: Arc<AtomicBool>,
     /// No camera takes frames any more; threads of cameras that hang may still hold their channels.
     pub cameras_ended: Arc<AtomicBool>,
-    /// The last frame is solved and stored, or given up.
+    /// The last frame is solved and stored, or abandoned.
     pub finished: AtomicBool,
     /// A caller waits for the end: the port may be closed when everything is finished.
     pub awaited: AtomicBool,
     /// Nothing more is to be sent.
     pub closing: Arc<AtomicBool>,
-    /// Time at which unfinished work is given up.
+    /// Time at which unfinished work is abandoned.
     pub deadline: Shared<Option<Instant>>,
     /// The housekeeping sent last.
     pub housekeeping: Shared<Option<Housekeeping>>,

@@ -62,7 +62,7 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, 
     conclude(
         &lights,
         0.0,
-        "from evenly lit frames, a tilt of the lamp's light taken out",
+        "from evenly lit frames, a tilt of the lamp's light removed",
     )
 }
 
@@ -102,7 +102,7 @@ pub(super) fn by_suns(
     conclude(
         &lights,
         SUNS_SYSTEMATIC / corner2,
-        "from the brightness of the Sun's disc over the sensor, a tilt taken out; clouds or a low Sun would falsify it",
+        "from the brightness of the Sun's disc over the sensor, a tilt removed; clouds or a low Sun would falsify it",
     )
 }
 

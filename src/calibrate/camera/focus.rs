@@ -117,7 +117,7 @@ fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> Calibra
             Ok(Measured::new(middle, scatter.hypot(BLUR_SYSTEMATIC_PX)))
         }
     };
-    let remark = "of the Sun's limb, the pixel's own size taken off";
+    let remark = "of the Sun's limb, the pixel response removed in quadrature";
     CalibratedQuantity::measured(("blur", "optics.blur_px", "px"), found, remark)
 }
 

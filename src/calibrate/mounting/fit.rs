@@ -102,7 +102,7 @@ impl MountingFit {
         far.map(|r| {
             let (off_mil, sigmas) = (r.off.norm(), r.normalised());
             let reason = format!(
-                "the Sun is {off_mil:.2} mil ({sigmas:.1} sigma) from where the others put it"
+                "the Sun is {off_mil:.2} mil ({sigmas:.1} sigma) from its position by the others"
             );
             RejectedFrame::new(&r.file, reason)
         })

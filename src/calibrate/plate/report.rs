@@ -205,7 +205,7 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
         ),
         (
             over_time(calibration),
-            "Mean residual of each frame: how far its marks are from where the mapping of its pose puts them. A level curve means that camera and plate did not move.",
+            "Mean residual of each frame: the distance of its marks from the mapping of its pose. A level curve means that camera and plate did not move.",
         ),
     ]
 }

@@ -53,13 +53,13 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     ));
     if fit.dropped_share() > MOST_DROPPED {
         lines.push(format!(
-            "warning    {:.0} % of the observed positions do not agree with the others: did the camera rest in each pose?",
+            "warning    {:.0} % of the observed positions do not agree with the others: was the camera fixed in each pose?",
             100.0 * fit.dropped_share()
         ));
     }
     if fit.sigma_factor > MOST_SCATTER {
         lines.push(format!(
-            "warning    the observed positions scatter {:.1} times as much as the frames state: did the camera rest, and do the frames state their times?",
+            "warning    the observed positions scatter {:.1} times as much as the frames state: was the camera fixed, and do the frames state their times?",
             fit.sigma_factor
         ));
     }

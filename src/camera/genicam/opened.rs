@@ -71,7 +71,7 @@ impl OpenCamera {
         let camera = open(&device).map_err(|error| CameraError::of(&device, error))?;
         let (actual, refused) = configure(&camera, &opening.settings);
         for error in &refused {
-            tracing::warn!(%error, camera = %device, "the camera did not take a setting");
+            tracing::warn!(%error, camera = %device, "the camera did not accept a setting");
         }
         count(&opening.health, |health| {
             health.refused_settings += refused.len() as u64;

@@ -232,7 +232,7 @@ impl AttitudeFound {
     pub fn doubts(&self) -> impl Iterator<Item = String> {
         let mostly = self.is_mostly_rejected().then(|| {
             format!(
-                "{} of {} measurements contradict the gyros and accelerometers: the attitude is not to be trusted",
+                "{} of {} measurements contradict the gyros and accelerometers: the attitude is unreliable",
                 self.refused, self.measurements
             )
         });

@@ -21,7 +21,7 @@ use std::collections::{BTreeMap, HashMap};
 
 /// The meaning of a time's sigma, in tables.
 pub(super) const TIME_SIGMA: &str =
-    "1 sigma of the time, where the header's contradicts others; none where it is believed";
+    "1 sigma of the time, where the header's contradicts others; none where it is accepted";
 
 /// Fewer frames may have been taken at the same time.
 const LEAST_STUCK: usize = 3;

@@ -221,7 +221,7 @@ impl Archive {
         if log.try_send(entry).is_err() {
             let rows = self.gauges.rows_overflowed.fetch_add(1, Ordering::Relaxed) + 1;
             if worth_a_line(rows) {
-                tracing::error!(rows, "a log cannot follow: it lacks rows");
+                tracing::error!(rows, "a log is too slow: it lacks rows");
             }
         }
     }
@@ -236,10 +236,10 @@ impl Archive {
         for queue in &self.queues {
             match queue.offer(picture.clone()) {
                 Dropped::DiskSlow(frames) if worth_a_line(frames) => {
-                    tracing::warn!(frames, "the disks cannot follow: pictures are given up");
+                    tracing::warn!(frames, "the disks are too slow: pictures are dropped");
                 }
                 Dropped::DiskFull(frames) if worth_a_line(frames) => {
-                    tracing::warn!(frames, "the disks are nearly full: pictures are given up");
+                    tracing::warn!(frames, "the disks are nearly full: pictures are dropped");
                 }
                 _ => {}
             }

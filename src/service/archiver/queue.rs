@@ -1,7 +1,7 @@
 //! The pictures that wait for a disk.
 //!
 //! One disk, or several that alternate, take from one queue; each of two that mirror has its own. A disk that refuses a
-//! picture gives it back and pauses, so that another may take it at once; pictures are given up only by the
+//! picture gives it back and pauses, so that another may take it at once; pictures are dropped only by the
 //! rules of overflow and of space, or when the flight ends.
 
 use crate::archive::{FreeSpace, Overflow};
@@ -12,7 +12,7 @@ use std::time::Instant;
 /// Number of refusals after which the picture itself is considered the cause.
 const MOST_REFUSALS: u32 = 5;
 
-/// Rules by which pictures are given up.
+/// Rules by which pictures are dropped.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
     /// Pictures that may wait.
@@ -25,19 +25,19 @@ pub(super) struct Rules {
 /// Counts of a queue.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct QueueTally {
-    /// Pictures given up because the disks could not follow.
+    /// Pictures dropped because the disks were too slow.
     pub overflowed: u64,
-    /// Pictures given up because the disks are nearly full.
+    /// Pictures dropped because the disks are nearly full.
     pub disk_full: u64,
     /// Pictures refused too often, or still waiting when the last disk ended.
     pub failed: u64,
 }
 
-/// Picture given up when another is queued.
+/// Picture dropped when another is queued.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Dropped {
     Nothing,
-    /// This picture or an older one, because the disks cannot follow; with their number so far.
+    /// This picture or an older one, because the disks are too slow; with their number so far.
     DiskSlow(u64),
     /// This picture, because the disks are nearly full; with their number so far.
     DiskFull(u64),
@@ -220,7 +220,7 @@ impl<P> Queue<P> {
         self.changed.notify_all();
     }
 
-    /// A disk ends. With the last one, the pictures that still wait are given up.
+    /// A disk ends. With the last one, the waiting pictures are dropped.
     pub fn end(&self, disk: usize) {
         let mut state = self.lock();
         state.disks[disk].activity = Activity::Ended;

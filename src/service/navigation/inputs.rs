@@ -41,7 +41,7 @@ impl Inputs {
         if let Err(TrySendError::Full(_)) = self.queue.try_send(input) {
             let lost = self.counters.navigation_lost.count();
             if worth_a_line(lost) {
-                tracing::error!(lost, "the navigation filter cannot follow: inputs are lost");
+                tracing::error!(lost, "the navigation filter is too slow: inputs are lost");
             }
         }
     }

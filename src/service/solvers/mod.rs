@@ -34,7 +34,7 @@ pub trait Solver: Send {
     /// Stores the result of a frame where other solvers read it.
     fn share(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
-    /// Log entry, now and then, for a frame that went no further; `None` if that is nothing unusual.
+    /// Log entry, now and then, for a frame whose processing stopped; `None` if that is nothing unusual.
     fn log_entry(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
         None
     }
