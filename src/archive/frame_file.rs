@@ -62,18 +62,8 @@ pub fn tables(solution: &Solution) -> Vec<Table> {
         tables.push(Table {
             name: "MARKS".into(),
             columns: vec![
-                column(
-                    "I",
-                    "",
-                    "id of an identified mark",
-                    whole(|mark| mark.id.i),
-                ),
-                column(
-                    "J",
-                    "",
-                    "id of an identified mark",
-                    whole(|mark| mark.id.j),
-                ),
+                column("I", "", "id of an identified mark", whole(|mark| mark.id.i)),
+                column("J", "", "id of an identified mark", whole(|mark| mark.id.j)),
                 column("X", "pixel", SEEN, floats(|mark| mark.at.x)),
                 column("Y", "pixel", SEEN, floats(|mark| mark.at.y)),
                 column(

@@ -524,5 +524,6 @@ fn shard_of(
 }
 
 fn make_folder(folder: &Path) -> anyhow::Result<()> {
-    create_dir_all(folder).with_context(|| format!("{}: cannot create the folder", folder.display()))
+    create_dir_all(folder)
+        .with_context(|| format!("{}: cannot create the folder", folder.display()))
 }

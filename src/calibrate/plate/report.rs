@@ -121,7 +121,8 @@ fn suspects(page: &mut Page, calibration: &Calibration) {
     let suspects = &calibration.suspects;
     page.heading(&format!("Suspect marks: {}", suspects.len()));
     if suspects.is_empty() {
-        return page.note("Every mark that was lit often enough was identified at its fitted position.");
+        return page
+            .note("Every mark that was lit often enough was identified at its fitted position.");
     }
     let row = |mark: &SuspectMark| {
         let measured = calibration.fit.marks.iter().any(|m| m.id == mark.id);
