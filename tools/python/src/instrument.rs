@@ -72,7 +72,7 @@ impl Instrument {
         self.inner.optics.arcsec_per_mil()
     }
 
-    /// From the lens to the plate, mm.
+    /// Distance from the lens to the plate, mm.
     #[getter]
     fn plate_distance_mm(&self) -> f64 {
         self.inner.optics.plate_distance_mm.value
@@ -104,7 +104,7 @@ impl Instrument {
         rows(py, ids.collect(), 2)
     }
 
-    /// Where they are on the plate, (n, 2), mil.
+    /// Their positions on the plate, (n, 2), mil.
     #[getter]
     fn marks_mil<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         pairs(py, self.inner.plate.marks().map(|(_, at)| [at.x, at.y]))

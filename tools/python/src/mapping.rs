@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use solaspect::aspect::{self, Adopted};
 use solaspect::units::{PlateMil, SensorPx};
 
-/// The sensor-to-plate transformation that a solution rests on; scale and rotation are those at the Sun's place.
+/// The sensor-to-plate transformation of a solution; scale and rotation are those at the Sun's place.
 #[pyclass(frozen, module = "solaspect")]
 pub struct Mapping {
     pub inner: Adopted,
@@ -24,7 +24,7 @@ impl Mapping {
         self.inner.mapping().kind().name()
     }
 
-    /// Where it is from: this "frame", the "prior" or the "calibration".
+    /// Its origin: this "frame", the "prior" or the "calibration".
     #[getter]
     fn origin(&self) -> &'static str {
         match self.inner {
@@ -64,7 +64,7 @@ impl Mapping {
         self.aspect.mapping.rotation_deg.sigma
     }
 
-    /// The homography from ideal sensor positions, the lens's distortion taken out, to the plate.
+    /// The homography from ideal sensor positions, corrected for the lens's distortion, to the plate.
     #[getter]
     fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
         // nalgebra stores columns.

@@ -38,7 +38,7 @@ impl Detection {
         self.inner.contrast
     }
 
-    /// Part of the structure about the position that a cross explains, 0 to 1.
+    /// Part of the structure at the position that a cross explains, 0 to 1.
     #[getter]
     fn likeness(&self) -> f64 {
         self.inner.likeness

@@ -4,7 +4,7 @@ use crate::numbers::{Pairs, matrix};
 use pyo3::prelude::*;
 use solaspect::pointing;
 
-/// Where the telescope points, minus its target.
+/// Pointing of the telescope minus its target.
 #[pyclass(frozen, module = "solaspect")]
 pub struct Offset {
     pub inner: pointing::Offset,
@@ -42,13 +42,13 @@ impl Offset {
         matrix(py, &self.inner.covariance_deg2)
     }
 
-    /// 1 sigma per axis that the calibration leaves, the same in every frame, deg.
+    /// 1 sigma per axis from the calibration, common to all frames, deg.
     #[getter]
     fn calibration_sigma_deg(&self) -> f64 {
         self.inner.calibration_sigma_deg()
     }
 
-    /// Covariance that the calibration leaves, across and in elevation, (2, 2), deg^2.
+    /// Covariance from the calibration, across and in elevation, (2, 2), deg^2.
     #[getter]
     fn calibration_covariance_deg2<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
         matrix(py, &self.inner.calibration_deg2)

@@ -24,7 +24,7 @@ pub struct PointingHistory {
 
 #[pymethods]
 impl PointingHistory {
-    /// The history that a refined flight's folder holds.
+    /// Reads the history from a refined flight's folder.
     #[staticmethod]
     fn read(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
         let read = || pointing_history::PointingHistory::read(&folder);
@@ -34,14 +34,14 @@ impl PointingHistory {
         })
     }
 
-    /// The first and the last time that is known, s since 1970.
+    /// First and last time of the history, s since 1970.
     #[getter]
     fn ends_s(&self) -> Option<(f64, f64)> {
         self.inner.ends_s().map(Into::into)
     }
 
-    /// The Sun's limb, (n, 2), and its heliographic circles so many degrees apart, a list of such lines, as they are seen at a time, s since
-    /// 1970: arcsec to solar west and north.
+    /// The Sun's limb, (n, 2), and a heliographic grid with the given spacing, a list of such lines, at a time in s since 1970: arcsec to
+    /// solar west and north.
     #[staticmethod]
     fn graticule<'py>(
         py: Python<'py>,
@@ -62,7 +62,7 @@ impl PointingHistory {
     }
 
     /// The pointing at n times, s since 1970, as arrays by name: hpln and hplt, arcsec; north_angle, azimuth, elevation and roll, deg; random
-    /// and systematic, (n, 9), arcsec^2; position_m, (n, 3), ECEF; valid; and lists of text, invalid and source. What is not known is NaN.
+    /// and systematic, (n, 9), arcsec^2; position_m, (n, 3), ECEF; valid; and lists of text, invalid and source. Unknown values are NaN.
     fn at<'py>(
         &self,
         py: Python<'py>,

@@ -21,7 +21,7 @@ enum Command {
     Refine(RefineArgs),
 }
 
-/// Runs `solaspect COMMAND OPTIONS...` in this process. KeyboardInterrupt ends it at the next frame; what a refinement has done is in its
+/// Runs `solaspect COMMAND OPTIONS...` in this process. KeyboardInterrupt ends it at the next frame; finished frames of a refinement are in its
 /// journal.
 #[pyfunction]
 pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {

@@ -17,7 +17,7 @@ struct Command {
     simulate: SimulateArgs,
 }
 
-/// The frames that the options of `solaspect simulate` describe.
+/// Frames by the options of `solaspect simulate`.
 #[pyfunction]
 pub fn simulate(py: Python<'_>, options: Vec<String>) -> PyResult<Vec<SimulatedFrame>> {
     let command: Command = parse(options)?;
@@ -111,7 +111,7 @@ impl SimulatedFrame {
         rows(py, ids.collect(), 2)
     }
 
-    /// Where they are seen, (n, 2), px.
+    /// Their positions on the sensor, (n, 2), px.
     #[getter]
     fn marks_px<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         pairs(

@@ -16,7 +16,7 @@ use solaspect::pointing;
 use solaspect::record::Record;
 use std::time::Duration;
 
-/// What a frame gave, stage by stage. What it did not reach is None, or has no rows.
+/// Solution of a frame, stage by stage. Results of stages not reached are None, or have no rows.
 #[pyclass(frozen, module = "solaspect")]
 #[derive(Serialize, Deserialize)]
 pub struct Solution {
@@ -84,7 +84,7 @@ impl Solution {
         })
     }
 
-    /// Points of the limb that the disc rests on, (n, 2), px.
+    /// Points of the limb to which the disc is fitted, (n, 2), px.
     #[getter]
     fn limb_px<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
         pairs(py, self.inner.limb.iter().map(|p| [p.at.x, p.at.y]))
@@ -102,7 +102,7 @@ impl Solution {
         self.inner.limb_blur_px
     }
 
-    /// Part of the limb that was seen, 0 to 1.
+    /// Visible part of the limb, 0 to 1.
     #[getter]
     fn limb_fraction(&self) -> Option<f64> {
         self.of_aspect(|aspect| aspect.limb_fraction)
@@ -185,13 +185,13 @@ impl Solution {
         self.offset.map(|inner| Offset { inner })
     }
 
-    /// What the frame teaches for the next: `solve`'s prior.
+    /// Tracking prior for the next frame: `solve`'s `prior`.
     #[getter]
     fn track(&self) -> Option<Track> {
         self.inner.track.clone().map(|inner| Track { inner })
     }
 
-    /// What the frame contradicts of the instrument's file by more than five sigma.
+    /// Values of the instrument's file that the frame contradicts by more than five sigma.
     #[getter]
     fn contradictions(&self) -> Vec<String> {
         self.contradictions
@@ -238,7 +238,7 @@ impl Solution {
     }
 }
 
-/// Why a frame went no further: the stage, the reason and its code, what was measured and its limit, in the unit of what was tested.
+/// Why processing stopped: stage, reason with its code, measured value and limit, in the unit of the tested quantity.
 #[pyclass(frozen, get_all, module = "solaspect")]
 pub struct Reason {
     stage: &'static str,
@@ -279,7 +279,7 @@ impl Levels {
     }
 }
 
-/// What one frame teaches for the next.
+/// Tracking prior from one frame for the next.
 #[pyclass(frozen, module = "solaspect")]
 pub struct Track {
     pub inner: aspect::Track,

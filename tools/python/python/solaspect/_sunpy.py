@@ -1,4 +1,4 @@
-"""sunpy's time series learn of the pointing when they are imported: sunpy takes seconds to import, and need not be there."""
+"""Registers the pointing with sunpy's time series when these are imported: sunpy takes seconds to import, and is optional."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def register() -> None:
 
 
 class _AtImport(MetaPathFinder):
-    """Finds the module as others do, and has ours follow it."""
+    """Import hook: registers the series after the module is imported."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         if name != _SERIES:

@@ -70,7 +70,7 @@ def open_archive(directory: PathLike) -> Archive:
 
 
 def open_refined(directory: PathLike) -> Refined:
-    """What `refine` left in a folder.
+    """Results of `refine` in a folder.
 
     Raises
     ------
@@ -118,7 +118,7 @@ class Archive:
             return _image(hdus).header
 
     def map(self, frame: PathLike) -> GenericMap:
-        """A frame as a sunpy map, which knows where each pixel is on the Sun if the frame was solved.
+        """A frame as a sunpy map, with helioprojective coordinates if the frame was solved.
 
         Its pixels are floats, so that it can be rotated: what comes in from outside is NaN.
         """
@@ -128,7 +128,7 @@ class Archive:
         return sunpy.map.Map(self.array(frame).astype(np.float32), self.header(frame))
 
     def solutions(self) -> Table:
-        """The solution log: one row for each solved frame of every start, in order. What is not known is masked.
+        """The solution log: one row for each solved frame of every start, in order. Unknown values are masked.
 
         `utc` is an astropy `Time`; the columns' units are those of their names, a mil being 25.4 um. docs/archive.md lists the columns.
         """
@@ -155,7 +155,7 @@ def _with_new_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class Refined:
-    """What `refine` made of a flight; of several cameras, the folder of one.
+    """Refined aspect of a flight; of several cameras, the folder of one.
 
     Attributes
     ----------
@@ -193,7 +193,7 @@ class Refined:
         most_sigma: Quantity | float = 10.0,
         fastest: Quantity | float = 450.0,
     ) -> Pointing:
-        """Where the telescope pointed at any times of the flight, between the frames as well as at them.
+        """Pointing of the telescope at any times of the flight, also between frames.
 
         Parameters
         ----------
@@ -242,7 +242,7 @@ class Refined:
         return self._table("STABILISATION", "stabilisation.fits")
 
     def events(self, events: PathLike, out: PathLike, *, detectors: PathLike) -> Table:
-        """Put the photons of an event list on the Sun, as `solaspect events` does; docs/events.md lists the columns and DET.toml.
+        """Assign each photon of an event list its position on the Sun, as `solaspect events` does; docs/events.md lists the columns and DET.toml.
 
         Parameters
         ----------
@@ -272,8 +272,8 @@ class Refined:
         return plot_path(self._sun_path(), ax)
 
     def plot_pointing(self) -> Figure:
-        """Draw where the telescope pointed: the path on the Sun and near its target with the ellipse of 1 sigma, for how long it pointed where,
-        and how far from the target, with the time within 20 arcsec and 1 arcmin."""
+        """Draw the pointing: the path on the Sun and near its target with the ellipse of 1 sigma, the dwell time, and the distance from the target
+        with the time within 20 arcsec and 1 arcmin."""
         return plot_pointing(self._sun_path())
 
     def _sun_path(self) -> SunPath:
@@ -281,7 +281,7 @@ class Refined:
         return sun_path(self.pointing(), *PointingHistory.graticule(middle.unix, 15))
 
     def to_pandas(self, table: str = "aspect") -> pandas.DataFrame:
-        """A table as pandas takes it: "aspect", "smoothed", "pointing", "roll", "attitude" or "stabilisation"."""
+        """A table as a pandas data frame: "aspect", "smoothed", "pointing", "roll", "attitude" or "stabilisation"."""
         known = ("aspect", "smoothed", "pointing", "roll", "attitude", "stabilisation")
         if table not in known:
             raise ValueError(f"table: expected one of {', '.join(known)}, found {table!r}")

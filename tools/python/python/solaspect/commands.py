@@ -27,12 +27,12 @@ def _paths(paths: Paths) -> list[str]:
 
 
 def _instrument(instrument: AnyInstrument) -> str:
-    """What `--instrument` takes."""
+    """The argument of `--instrument`."""
     return os.fspath(instrument.path if isinstance(instrument, Instrument) else instrument)
 
 
 def _options(**keywords: Any) -> list[str]:
-    """Keywords as options: None and False are left out, a tuple is one value with commas, a list an option that is repeated."""
+    """Keywords as options: None and False are omitted, a tuple is one value with commas, a list an option that is repeated."""
     options = []
     for name, value in keywords.items():
         option = "--" + name.replace("_", "-")
@@ -149,7 +149,7 @@ def simulate(
 
 
 def compare(before: AnyInstrument, after: AnyInstrument) -> dict[str, Any]:
-    """What changed from one instrument to another, in its own unit and in arcsec on the sky: as `solaspect calibrate compare --json`.
+    """Differences of two instruments, each in its own unit and in arcsec on the sky, as `solaspect calibrate compare --json`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Errors of files and of what they hold."""
+"""Errors of files and their content."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def image(
     layer: Layer = "counts",
     out: PathLike | None = None,
 ) -> GenericMap:
-    """The image that photons make on the Sun, as `solaspect events --image` writes it; docs/events.md states which photons count.
+    """Image of photons on the Sun, as `solaspect events --image` writes it; docs/events.md states which photons count.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def _read(path: Path, layer: Layer) -> GenericMap:
 
 
 def _arcsec(value: Any) -> Any:
-    """A number of arcsec, of an astropy quantity or as it is."""
+    """Convert an astropy quantity to arcsec; a number is returned as it is."""
     return value.to_value("arcsec") if hasattr(value, "to_value") else value
 
 

@@ -1,4 +1,4 @@
-"""A solved frame as a picture, and where on the Sun a telescope pointed. matplotlib is needed: `pip install 'solaspect[plot]'`."""
+"""Pictures of a solved frame and of the pointing on the Sun. matplotlib is needed: `pip install 'solaspect[plot]'`."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _title(solution: Solution) -> str:
 
 
 class SunPath(NamedTuple):
-    """Where a telescope pointed, at equal steps of time."""
+    """Pointing at equal steps of time."""
 
     #: s since 1970, UTC.
     unix_s: npt.NDArray[np.float64]
@@ -165,7 +165,7 @@ class SunPath(NamedTuple):
 
     @property
     def away(self) -> npt.NDArray[np.float64]:
-        """Of the valid pointings, the distance from the target, arcsec; from their median where there is none."""
+        """Distance of the valid pointings from the target, arcsec; without a target from their median."""
         middle = np.median(self.places[self.valid], axis=0) if self.target is None else self.target
         return np.hypot(*(self.places[self.valid] - middle).T)
 
@@ -222,8 +222,8 @@ def plot_path(path: SunPath, ax: Axes | None = None) -> Axes:
 
 
 def plot_pointing(path: SunPath) -> Figure:
-    """Draw the path on the whole Sun, the path near the target with the ellipse of 1 sigma, for how long the telescope pointed where, and how
-    far from its target."""
+    """Draw the path on the whole Sun, the path near the target with the ellipse of 1 sigma, the dwell time, and the distance
+    from the target."""
     import matplotlib.pyplot as plt
 
     figure, ((whole, near), (dwell, away)) = plt.subplots(2, 2, figsize=(12, 10), layout="constrained")
@@ -255,7 +255,7 @@ def _sun(ax: Axes, path: SunPath) -> None:
 
 
 def _about(ax: Axes, path: SunPath) -> None:
-    """Show the path and the target, and no more."""
+    """Limit the axes to the path and the target."""
     places = path.places[path.valid]
     if path.target is not None:
         places = np.vstack([places, path.target])

@@ -1,4 +1,4 @@
-"""Where a refined flight's telescope pointed at any time, with astropy's units and sunpy's coordinates."""
+"""Pointing of a refined flight at any time, with astropy's units and sunpy's coordinates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["Pointing", "pointing_at"]
 
 @dataclass(frozen=True)
 class Pointing:
-    """Where the telescope pointed at some times; each array has their shape. What is not known is NaN.
+    """Pointing at given times; each array has their shape. Unknown values are NaN.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Pointing:
 
     @property
     def observer(self) -> SkyCoord:
-        """The balloon among the planets, as sunpy takes an observer."""
+        """The balloon's position, as an observer of sunpy."""
         from astropy.coordinates import SkyCoord
 
         return SkyCoord(self.location.get_itrs(self.time))
