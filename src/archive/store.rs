@@ -694,6 +694,6 @@ mod tests {
         let error = Store::open(&path, "demo", Compression::Rice)
             .unwrap_err()
             .to_string();
-        assert!(error.contains("occupied: expected to make"), "{error}");
+        assert!(error.contains("occupied: expected to create"), "{error}");
     }
 }
