@@ -75,7 +75,7 @@ macro_rules! reasons {
 reasons! {
     /// Reasons for frames of the Sun on the plate.
     sun:
-    LOW_CONTRAST "low_contrast" "nothing is bright enough against the background"
+    LOW_CONTRAST "low_contrast" "nothing outshines the background by enough"
     FEW_BRIGHT_PIXELS "few_bright_pixels" "too few pixels are brighter than the background"
     NO_BRIGHT_PATCH "no_bright_patch" "nothing is as bright and as wide as a disc"
     MANY_BRIGHT_PLACES "many_bright_places" "the frame is bright in too many places"

@@ -215,7 +215,7 @@ fn rows() -> [LoggedRow; 3] {
         reason: Some(Reason {
             stage: "levels",
             code: Some("low_contrast"),
-            reason: "nothing is bright enough against the background".into(),
+            reason: "nothing outshines the background by enough".into(),
             measured: Some(3.5),
             limit: Some(f64::INFINITY),
         }),

@@ -161,7 +161,7 @@ fn a_disk_that_is_a_file_fails_by_name() {
     assert_eq!(page.failures(), [check.as_str()]);
     assert!(
         page.found(&check)
-            .contains("archive.lock: expected to make the disk's mark")
+            .contains("archive.lock: expected to create the disk's lock file")
     );
     assert!(page.remedy(&check).contains("not a file"), "{}", page.page);
 }

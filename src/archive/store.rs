@@ -268,7 +268,7 @@ impl Store {
         match self.disk.exists(&mark) {
             true => Ok(()),
             false => {
-                Err(io::Error::from(ErrorKind::NotFound)).during("find the disk's mark", &mark)
+                Err(io::Error::from(ErrorKind::NotFound)).during("find the disk's lock file", &mark)
             }
         }
     }
@@ -471,7 +471,7 @@ fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Claim, ArchiveEr
         Err(cause) => {
             let action = match cause.kind() {
                 ErrorKind::ResourceBusy => "be the only program that writes to this archive",
-                _ => "make the disk's mark",
+                _ => "create the disk's lock file",
             };
             Err(ArchiveError::Io {
                 path: mark,
