@@ -107,7 +107,7 @@ def test_an_interrupted_refinement_ends_and_goes_on(archive, archive_directory, 
 
     def interrupt():
         """Interrupts the main thread, as Ctrl-C does, when the journal has a frame."""
-        while not ended.wait(0.01):
+        while not ended.wait(0.001):
             journals = [path for path in tmp_path.glob("*.journal") if not path.name.startswith("cameras-")]
             if any(path.stat().st_size > FEW_BYTES for path in journals):
                 return _thread.interrupt_main()

@@ -105,7 +105,8 @@ def test_layers_are_those_of_the_file(image, tmp_path):
     with fits.open(tmp_path / "kept.fits", checksum=True) as hdus:
         assert [hdu.name for hdu in hdus] == ["COUNTS", "EXPOSURE", "INVALID"]
         assert np.array_equal(counts.data, hdus["COUNTS"].data)
-        assert 0.15 < counts.data.sum() / 1e6 < 0.2
+        # A fifth of a million photons has these energies; those at the ends of the valid times may be invalid.
+        assert 150_000 < counts.data.sum() <= 200_000
         seconds = hdus["EXPOSURE"].data
     rate = image(layer="rate", energy=("PI", 10, 29))
     assert np.isnan(rate.data[seconds == 0]).all() and rate.unit == u.ct / u.s
