@@ -25,8 +25,8 @@ const BEGIN: usize = 52;
 /// Maximum ratio of the latencies (99 %) with outputs to those without, in the median of the flights: other load on the
 /// machine disturbs some of them.
 const MOST_RATIO: f64 = 1.1;
-/// Time that a reader waits for bytes.
-const TIMEOUT: Duration = Duration::from_millis(100);
+/// Interval at which readers poll.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Parts of the flights.
 pub struct Flights {
@@ -154,14 +154,14 @@ impl Readers {
             }));
         };
         let udp = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
-        udp.set_read_timeout(Some(TIMEOUT))?;
+        udp.set_read_timeout(Some(POLL_INTERVAL))?;
         let to_udp = format!("udp:{}", udp.local_addr()?);
         let mut buffer = [0; 65_536];
         read(Box::new(move || _ = udp.recv(&mut buffer)));
 
         let (mut near, far) = SerialPort::pair()?;
         let mut buffer = [0; 4096];
-        read(Box::new(move || _ = near.read(&mut buffer, TIMEOUT)));
+        read(Box::new(move || _ = near.read(&mut buffer, POLL_INTERVAL)));
         let (unread, deaf) = SerialPort::pair()?;
 
         let [read_by, stuck_by] = [free_address()?, free_address()?];
@@ -173,7 +173,7 @@ impl Readers {
         let mut stuck = None;
         read(Box::new(move || match &stuck {
             None => stuck = connected(stuck_by),
-            Some(_) => thread::sleep(TIMEOUT),
+            Some(_) => thread::sleep(POLL_INTERVAL),
         }));
         let outputs = [
             ("jsonl by UDP", to_udp, Format::Jsonl),
@@ -230,15 +230,15 @@ fn free_address() -> anyhow::Result<SocketAddr> {
 fn connected(address: SocketAddr) -> Option<TcpStream> {
     thread::sleep(Duration::from_millis(10));
     let stream = TcpStream::connect(address).ok()?;
-    stream.set_read_timeout(Some(TIMEOUT)).ok()?;
+    stream.set_read_timeout(Some(POLL_INTERVAL)).ok()?;
     Some(stream)
 }
 
 /// Reads available bytes; a stream that has ended is ignored.
 fn take(stream: &mut TcpStream, buffer: &mut [u8]) {
     match stream.read(buffer) {
-        Ok(0) => thread::sleep(TIMEOUT),
-        Err(error) if error.kind() == ErrorKind::ConnectionReset => thread::sleep(TIMEOUT),
+        Ok(0) => thread::sleep(POLL_INTERVAL),
+        Err(error) if error.kind() == ErrorKind::ConnectionReset => thread::sleep(POLL_INTERVAL),
         _ => {}
     }
 }
