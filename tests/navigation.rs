@@ -795,6 +795,20 @@ fn attitudes_of_200_balloons_are_as_good_as_they_say_through_gaps() {
     balloons(0..200, 1200.0, &ASKED);
 }
 
+/// In this flight the nadir's error, correlated over 20 s, exceeds the limit while it is the only direction.
+#[test]
+fn one_long_error_of_the_nadir_in_a_gap_of_the_sun_does_not_move_the_attitude() {
+    let plan = FlightPlan {
+        duration_s: 182.0,
+        ..FlightPlan::balloon()
+    };
+    let flown = fly(&plan, 74..75, |_| (), |t_s| t_s > 160.0 && t_s < 180.0);
+    let refused = |one: &Innovation| one.t_s > 160.0 && one.verdict == Verdict::Refused;
+    assert!(flown.innovations.iter().any(refused));
+    let across = rms(flown.filtered.iter().flat_map(Off::across_arcsec));
+    assert!(across < 10.0, "{across} arcsec");
+}
+
 #[test]
 fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred_does_no_harm() {
     let plan = FlightPlan {

@@ -1,6 +1,7 @@
 //! Initial alignment: the filter waits for a fix and two directions observed at about the same time; one of them may be
 //! straight down as measured by the accelerometers.
 
+use super::doubts::CorrelatedError;
 use super::estimate::Estimate;
 use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
 use super::measurement::{DirectionObservation, Fix, Towards};
@@ -233,4 +234,19 @@ pub(super) fn white_rad(
     };
     let white2 = observation.sigma_rad.powi(2) - correlated_rad.powi(2);
     white2.sqrt().max(LEAST_WHITE * observation.sigma_rad)
+}
+
+/// The part of a direction's error that is correlated in time, if the filter models it.
+pub(super) fn correlated_error(
+    settings: &NavigationSettings,
+    layout: &Layout,
+    observation: &DirectionObservation,
+) -> Option<CorrelatedError> {
+    let target = observation.target as usize;
+    let modelled = layout.correlated[observation.camera][target].as_ref()?;
+    let white_rad = white_rad(settings, layout, observation);
+    Some(CorrelatedError {
+        variance_rad2: observation.sigma_rad.powi(2) - white_rad.powi(2),
+        time_s: modelled.time_s,
+    })
 }

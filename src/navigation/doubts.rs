@@ -3,8 +3,9 @@
 //! 1. A direction is rejected: either it or the filter may be wrong. The stated attitude's covariance includes the
 //!    difference at once.
 //! 2. If the next one of its kind is accepted, the first was wrong, and the doubt ends.
-//! 3. If the next one is rejected as well, the gyros were wrong. The attitude restarts from this direction, and the gyros
-//!    get an additional noise according to the directions from then on, which decays while they agree.
+//! 3. If the next one is rejected as well, and no single error of the sensor explains both, the gyros were wrong. The
+//!    attitude restarts from this direction, and the gyros get an additional noise according to the directions from then
+//!    on, which decays while they agree.
 //!
 //! If a more precise direction agreed with the filter in between, the less precise one is in doubt, and only the angle
 //! about the more precise one may be wrong.
@@ -15,9 +16,10 @@
 //! Two successive velocities that contradict the filter, or velocities that deviate to one side for a long time, have the
 //! same effect for the accelerometers: the attitude no longer follows their measurements.
 
+use super::filter::MOST_CHI2 as REFUSED_CHI2;
 use super::measurement::{DirectionObservation, Innovation, Source, Verdict};
 use super::states::Sensors;
-use nalgebra::{Matrix3, UnitVector3, Vector3};
+use nalgebra::{Matrix3, UnitVector3, Vector2, Vector3};
 
 /// Decay time of the doubt about gyros and accelerometers, s.
 const GYROS_FADE_S: f64 = 1.0;
@@ -38,6 +40,18 @@ const JUST_BEFORE: f64 = 0.2;
 /// A larger difference is beyond the filter's linear range, rad.
 pub(super) const LOST_RAD: f64 = 0.1;
 
+/// Two rejected directions contradict the gyros above this chi^2 of both together: that of two independent ones.
+const BOTH_CHI2: f64 = 2.0 * REFUSED_CHI2[0];
+/// Maximum correlation of two directions.
+const MOST_CORRELATION: f64 = 0.99;
+
+/// The part of a direction's error that is correlated in time (a Gauss-Markov process).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CorrelatedError {
+    pub variance_rad2: f64,
+    pub time_s: f64,
+}
+
 /// A direction relative to the filter's prediction.
 #[derive(Debug, Clone, Copy)]
 struct Found {
@@ -55,8 +69,37 @@ struct Found {
 struct Refused {
     source: Source,
     found: Found,
+    /// The whitened innovation of the first rejected direction, and its time.
+    first: (Vector2<f64>, f64),
     /// A more precise direction that has agreed with the filter since.
     finer: Option<UnitVector3<f64>>,
+}
+
+impl Refused {
+    /// Whether this direction and the first one cannot have one error of the sensor in common.
+    fn is_confirmed(&self, innovation: &Innovation, error: Option<CorrelatedError>) -> bool {
+        let (first, first_s) = self.first;
+        let correlation = error.map_or(0.0, |error| {
+            let predicted2: f64 = innovation.axes.iter().map(|(_, sigma)| sigma * sigma).sum();
+            let share = 2.0 * error.variance_rad2 / predicted2;
+            share * (-(innovation.t_s - first_s).abs() / error.time_s).exp()
+        });
+        both_chi2(
+            first,
+            whitened(innovation),
+            correlation.min(MOST_CORRELATION),
+        ) > BOTH_CHI2
+    }
+}
+
+fn whitened(innovation: &Innovation) -> Vector2<f64> {
+    Vector2::from_iterator(innovation.whitened.iter().copied())
+}
+
+/// chi^2 (four axes) of two vectors in sigmas whose errors have this correlation in each axis.
+fn both_chi2(first: Vector2<f64>, second: Vector2<f64>, correlation: f64) -> f64 {
+    let own = first.norm_squared() + second.norm_squared();
+    (own - 2.0 * correlation * first.dot(&second)) / (1.0 - correlation * correlation)
 }
 
 /// Action after a rejected direction.
@@ -167,19 +210,21 @@ impl Doubts {
         }
     }
 
-    /// Takes in a rejected direction, observed while the body rotated at a rate.
+    /// Takes in a rejected direction, observed while the body rotated at a rate, with the correlated part of its error.
     pub fn refuse(
         &mut self,
         observation: &DirectionObservation,
         towards: UnitVector3<f64>,
         innovation: &Innovation,
         rate_rad_s: f64,
+        error: Option<CorrelatedError>,
     ) -> Remedy {
         let found = self.found(observation, towards, innovation);
         let source = innovation.source;
         let known = self.refused.iter().position(|one| one.source == source);
         let finer = known.and_then(|n| self.refused[n].finer);
-        let is_doubted = self.gyros > 0.0 || known.is_some();
+        let is_confirmed = known.is_some_and(|n| self.refused[n].is_confirmed(innovation, error));
+        let is_doubted = self.gyros > 0.0 || is_confirmed;
         if finer.is_none() && is_doubted {
             self.refused.retain(|one| one.source != source);
             if found.difference_rad > LOST_RAD {
@@ -195,6 +240,7 @@ impl Doubts {
             None => self.refused.push(Refused {
                 source,
                 found,
+                first: (whitened(innovation), found.t_s),
                 finer,
             }),
         }
@@ -332,6 +378,7 @@ mod tests {
             SUN,
             &innovation(&observation, off_rad, Verdict::Refused),
             1e-9,
+            None,
         )
     }
 
@@ -366,11 +413,34 @@ mod tests {
             .into();
         for refused in [one, two] {
             let innovation = innovation(&refused, 1e-5, Verdict::Refused);
-            doubts.refuse(&refused, SUN, &innovation, 1e-3);
+            doubts.refuse(&refused, SUN, &innovation, 1e-3, None);
         }
         assert!(doubts.random_walk(Sensors::Gyros) >= 1e-3);
         // While in doubt, one rejection suffices; a large difference is beyond the linear range.
         assert_eq!(sun(&mut doubts, 20.5, 0.2), Remedy::BeginAnew);
+    }
+
+    #[test]
+    fn one_error_of_the_sensor_in_two_directions_does_not_accuse_the_gyros() {
+        let both = |off_rad: f64, error| {
+            let mut doubts = Doubts::default();
+            let remedies = [1.0, 1.25].map(|t_s| {
+                let observation = observation(t_s, Target::Nadir, 1e-3);
+                let innovation = innovation(&observation, off_rad, Verdict::Refused);
+                doubts.refuse(&observation, DOWN, &innovation, 1e-9, error)
+            });
+            (remedies[1], doubts)
+        };
+        let lasting = Some(CorrelatedError {
+            variance_rad2: 0.98e-6,
+            time_s: 20.0,
+        });
+        // 5 sigma: improbable twice, but not once in 200 flights.
+        let (remedy, doubts) = both(5e-3, lasting);
+        assert_eq!(remedy, Remedy::Wait);
+        assert!(doubts.covariance(1.25)[(0, 0)].sqrt() >= 5e-3 * (1.0 - 1e-9));
+        assert_eq!(both(5e-3, None).0, Remedy::Open { rad: 5e-3 });
+        assert_eq!(both(7e-3, lasting).0, Remedy::Open { rad: 7e-3 });
     }
 
     #[test]
@@ -383,6 +453,7 @@ mod tests {
                 DOWN,
                 &innovation(&observation, 0.01, Verdict::Refused),
                 1e-9,
+                None,
             )
         };
         assert_eq!(nadir(&mut doubts, 1.0), Remedy::Wait);

@@ -1,6 +1,6 @@
 //! Processing of a flight by the filter: IMU samples in order, with each measurement at its own time in between.
 
-use super::begin::{Waiting, white_rad};
+use super::begin::{Waiting, correlated_error, white_rad};
 use super::comparison::Comparison;
 use super::doubts::{Doubts, ONE_SIDED_CHI2, Remedy};
 use super::filter::{Filter, MOST_CHI2, Trust};
@@ -392,9 +392,11 @@ impl Run {
         }
         let was_doubted = self.doubts.random_walk(Sensors::Gyros) > 0.0;
         let rate_rad_s = filter.rate_rad_s.norm();
+        let Model { settings, layout } = &*self.model;
+        let error = correlated_error(settings, layout, observation);
         match self
             .doubts
-            .refuse(observation, towards, &innovation, rate_rad_s)
+            .refuse(observation, towards, &innovation, rate_rad_s, error)
         {
             Remedy::Wait => self.note(innovation, each),
             Remedy::BeginAnew => {
