@@ -177,21 +177,30 @@ fn near(found_s: f64, expected_s: f64) -> bool {
     (found_s - expected_s - late_s).abs() < 0.011
 }
 
-fn fly_clean(duration_s: u64, seeds: u64) {
+/// Flies with normal errors. At most this number of single differences are beyond 5 sigma.
+fn fly_clean(duration_s: u64, seeds: u64, most_beyond: usize) {
     let never = Moved::sun(0.0, 0.0..0.0);
     let mut sigmas: [Vec<f64>; 3] = Default::default();
     for seed in 1..=seeds {
         let cameras = [SUN, HORIZON];
         let compared = fly_compared(duration_s, seed, &cameras, with_gaps, &never);
-        assert_eq!(compared.span_s(Agreement::Beyond), None, "{seed}");
+        let lasting = compared.span_s(Agreement::LastingContradiction);
         assert_eq!(
-            (compared.tally.contradicted, compared.tally.restarts),
-            (0, 0)
+            (
+                lasting,
+                compared.tally.contradicted,
+                compared.tally.restarts
+            ),
+            (None, 0, 0),
+            "{seed}"
         );
         for (all, own) in sigmas.iter_mut().zip(compared.sigmas) {
             all.extend(own);
         }
     }
+    let beyond = sigmas.iter().flatten().filter(|sigmas| sigmas.abs() > 5.0);
+    let beyond = beyond.count();
+    assert!(beyond <= most_beyond, "{beyond}");
     for (axis, sigmas) in Axis::ALL.into_iter().zip(sigmas) {
         let (count, rms) = (sigmas.len(), rms(sigmas.into_iter()));
         println!("{}: {count} differences, rms {rms:.3} sigma", axis.name());
@@ -202,14 +211,15 @@ fn fly_clean(duration_s: u64, seeds: u64) {
 
 #[test]
 fn cameras_and_gyros_of_a_clean_flight_agree_in_its_whole_length_by_their_own_sigmas() {
-    fly_clean(600, 4);
+    fly_clean(600, 4, 0);
 }
 
-/// The full size: an hour each.
+/// The full size: an hour each. Of a million normal differences 0.6 are expected beyond 5 sigma; more than four have a
+/// probability of 1 in 2,500.
 #[test]
 #[ignore = "minutes"]
 fn cameras_and_gyros_of_an_hour_agree_in_its_whole_length_by_their_own_sigmas() {
-    fly_clean(3600, 24);
+    fly_clean(3600, 24, 4);
 }
 
 #[test]
